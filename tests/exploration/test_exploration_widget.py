@@ -31,6 +31,7 @@ from hyjax.exploration.truth import KnownTruth
 from hyjax.exploration.widget import DRAFT_MS, Explorer
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.light.setup import same_setup
 from hyjax.util.clock import StageClock
 from hyjax.util.images import read_image
 from hyjax.util.programs import run_kept
@@ -358,6 +359,54 @@ def test_scores_against_the_truth(scene: hyjax.Scene, own: hyjax.Configuration) 
     widget.frame = 2
     assert not widget.wait(120.0)  # there is nothing to show beside it
     assert widget.scores == [] and "no truth is known" in widget.judged[0]
+
+
+def test_a_picture_is_judged_under_its_own_lights(
+    scene: hyjax.Scene, own: hyjax.Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[hyjax.LightSetup] = []
+    widget = hyjax.explore(
+        scene, lights="center-point", configuration=own, truth=lambda _, setup: asked.append(setup)
+    )
+    assert widget.wait(120.0)
+    monkeypatch.setattr(widget._newest, "request", lambda **_: None)  # of the next lights is no picture yet
+    widget.lights = hyjax.LightSetup.of(hyjax.PointLight(np.array([0.1, -0.4, 2.0]), 700.0, np.ones(3)))
+    widget._judge(False)
+    first, second = asked
+    assert same_setup(first, second) and not same_setup(second, widget.lights)
+
+
+@pytest.mark.parametrize("early", [False, True])
+def test_an_older_judgement_fails_no_newer_picture(
+    scene: hyjax.Scene, own: hyjax.Configuration, monkeypatch: pytest.MonkeyPatch, early: bool
+) -> None:
+    """Whether it fails before the newer picture is made, or later."""
+    begun, go = threading.Event(), threading.Event()
+
+    def truth(frame: int, _: hyjax.LightSetup) -> None:
+        if frame == 1:
+            begun.set()
+            go.wait(30.0)
+            raise hyjax.InputError("of a test")
+
+    widget = hyjax.explore(scene, lights="center-point", configuration=own, truth=truth)
+    assert widget.wait(120.0)
+    widget.frame = 1
+    assert begun.wait(120.0)
+    relit = widget._pictures.relit
+
+    def later(*arguments: Any) -> hyjax.Relit:
+        if early:
+            go.set()
+            assert widget._judging.wait(30.0) and widget._failed
+        return relit(*arguments)
+
+    monkeypatch.setattr(widget._pictures, "relit", later)
+    widget.frame = 2
+    assert widget._newest.wait(120.0)
+    go.set()
+    assert widget.wait(120.0) and widget.relit is not None
+    assert early or not widget.message
 
 
 def test_a_truth_of_another_size_is_said(scene: hyjax.Scene, own: hyjax.Configuration) -> None:
