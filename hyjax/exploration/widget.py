@@ -303,7 +303,7 @@ class Explorer(anywidget.AnyWidget):
         if view == "levels":
             return levels_sheet(self._pictures.levels(frame, lights, configuration, StageClock()))
         other = self.other or Configuration()
-        second = self._pictures.relit(frame, lights, other, StageClock())
+        second = self._pictures.relit(frame, lights, other, StageClock(), beside=True)
         named = {f"A: {configuration.name}": relit.image, f"B: {other.name}": second.image}
         self._judge_later(frame, lights, setup, named)
         return compared_sheet(*((name, to_display(image)) for name, image in named.items()))
@@ -335,7 +335,8 @@ class Explorer(anywidget.AnyWidget):
         configuration = self.configuration
         name = self.lights if isinstance(self.lights, str) else ""
         state = {"frame": self.frame, "frames": len(self._scene), "lights": name, "setups": list(SETUPS)}
-        state |= {"values": values(configuration), "ladders": ladders(configuration), "view": self.view}
+        rows = ladders(configuration, self._pictures.ends(configuration))
+        state |= {"values": values(configuration), "ladders": rows, "view": self.view}
         presets = ["default", "paper", *PRESETS]
         state |= {"views": self._views(), "preset": configuration.name, "presets": presets}
         lamps = lamp_rows(self._setup() or (self._made and self._made[2]), self._camera)

@@ -25,7 +25,7 @@ from hyjax.core.refine import _cascade_known
 from hyjax.data.builtin_room import UP, load_room
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.truth_room import TruthCapture
-from hyjax.exploration.controls import with_level
+from hyjax.exploration.controls import with_choice, with_level
 from hyjax.exploration.pictures import Pictures
 from hyjax.exploration.truth import KnownTruth
 from hyjax.exploration.widget import DRAFT_MS, Explorer
@@ -260,6 +260,44 @@ def test_a_draft_of_other_lights_follows_no_bounces(scene: hyjax.Scene, monkeypa
     assert np.abs(again - small).mean() < 0.5 * np.abs(draft - small).mean()
 
 
+def test_drafts_have_the_bounces_of_the_picture_that_is_shown(
+    scene: hyjax.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    widget = scene.explore(lights="center-point")
+    widget.other, widget.view = hyjax.Configuration().with_choices({"bounces": False}), "compare"
+    assert widget.wait(120.0) and not widget.message
+    followed: list[int] = []
+    surface_light = hyjax.Scene.surface_light
+
+    def counted(self: hyjax.Scene, setup: hyjax.LightSetup, **options: Any) -> Any:
+        followed.append(len(setup.lights))
+        return surface_light(self, setup, **options)
+
+    monkeypatch.setattr(hyjax.Scene, "surface_light", counted)
+    moved = hyjax.LightSetup.of(hyjax.PointLight(np.array([0.2, -0.1, 1.9]), 777.0, np.ones(3)))
+    widget._pictures.draft(0, moved, widget.configuration, StageClock())
+    assert not followed  # those of A, not of B
+    widget._pictures.draft(0, "two-colors", widget.configuration, StageClock())
+    assert followed == [len(scene.lights("two-colors").lights)]  # other named lights have no bounces of these
+
+
+def test_drafts_of_all_counts_share_a_program(
+    scene: hyjax.Scene, own: hyjax.Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran: set[tuple[int, ...]] = set()
+
+    def noted(lit: Any, configuration: hyjax.Configuration, **_: Any) -> Iterator[tuple[str, Any]]:
+        ran.add(tuple(level.steps for level in configuration.schedule.levels))
+        yield "composite", lit.view.display
+
+    monkeypatch.setattr("hyjax.exploration.pictures.refine", noted)
+    pictures, first = Pictures(scene), with_choice(own, "cascade", "4:6 2:6")
+    pictures.fills = True
+    for steps in (6, 0, 7, 9, 17, 32):
+        pictures.draft(0, "center-point", with_level(first, "schedule", 1, "steps", steps), StageClock())
+    assert ran == {(32, 32)}
+
+
 def test_a_change_of_the_cascade_leaves_the_shadow_pass(
     scene: hyjax.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -303,8 +341,12 @@ def test_older_changes_are_dropped(widget: Explorer, monkeypatch: pytest.MonkeyP
     assert np.array_equal(widget.relit.image, expected.image)
 
 
-def test_other_counts_of_steps_are_not_compiled(widget: Explorer) -> None:
+def test_other_counts_of_steps_are_not_compiled(widget: Explorer, own: hyjax.Configuration) -> None:
+    hand(widget, "level", cascade="schedule", index=1, key="kappa", value=0.19)
+    assert widget.wait(120.0)
     before = _cascade_known._cache_size()
+    widget.configuration = own
+    assert widget.wait(120.0)
     hand(widget, "level", cascade="schedule", index=1, key="kappa", value=0.2)
     assert widget.wait(120.0) and _cascade_known._cache_size() == before
     hand(widget, "ready")
