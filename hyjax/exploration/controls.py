@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, get_args
 
 import numpy as np
@@ -13,7 +13,6 @@ from hyjax.choices.table import CASCADES, CHOICES, NO_STEPS
 from hyjax.configuration import PRESETS, Configuration
 from hyjax.core.schedule import GUIDED_FIDELITY, Level, Schedule
 from hyjax.core.step_size import DEFAULT_LAM
-from hyjax.exploration.pictures import most_steps
 from hyjax.light.setup import LightSetup
 from hyjax.scene.settings import SceneSettings
 from hyjax.util.errors import InputError, shown
@@ -69,19 +68,25 @@ def values(configuration: Configuration) -> dict[str, Any]:
     return {name: None if isinstance(value, tuple) else value for name, value in found.items()}
 
 
-def ladders(configuration: Configuration) -> dict[str, list[dict[str, float | int | None]]]:
-    """Levels of both cascades, with the numbers of their sliders."""
+def ladders(
+    configuration: Configuration, ends: Mapping[str, Sequence[int]]
+) -> dict[str, list[dict[str, float | int | None]]]:
+    """Levels of both cascades, with the numbers of their sliders.
 
-    def row(level: Level) -> dict[str, float | int | None]:
+    Args:
+        configuration: whose levels they are.
+        ends: of the sliders of steps, by cascade.
+    """
+
+    def row(level: Level, most: int) -> dict[str, float | int | None]:
         sizes = np.asarray(level.step_sizes, np.float64)
         alpha = None if level.fidelity is None else float(np.asarray(level.fidelity))
         lam = float(np.median(sizes)) if len(sizes) else DEFAULT_LAM
         kappa = float(np.asarray(level.kappa))
-        most = max(most_steps(level.factor), level.steps)
         found = {"factor": level.factor, "steps": level.steps, "kappa": kappa, "lam": lam, "fidelity": alpha}
         return found | {"most_steps": most}
 
-    return {part: [row(level) for level in getattr(configuration, part).levels] for part in CASCADES}
+    return {part: [*map(row, getattr(configuration, part).levels, ends[part])] for part in CASCADES}
 
 
 def with_choice(configuration: Configuration, name: str, value: Any) -> Configuration:

@@ -4,12 +4,9 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from hyjax.light.light_edges import edge_correction, with_light_edges
-from hyjax.light.photo_light import LEAST_PHOTO_LIGHT
+from hyjax.light.light_edges import edge_correction, own_light, sharpened, with_light_edges
 from hyjax.pipeline import refine_visibility
 from hyjax.util.programs import run_kept
 
@@ -23,7 +20,7 @@ class KeptStages:
     """Runs the functions of `refine`: the shadow pass again only if what it is made from has changed.
 
     Args:
-        draft: whether the correction by light edges is kept, too, though the light that it is of has changed.
+        draft: whether the correction by light edges is kept, too, though lights or choices of the light change.
     """
 
     def __init__(self, *, draft: bool = False) -> None:
@@ -35,8 +32,9 @@ class KeptStages:
             return self._of(function, arrays, lambda: run_kept(function, *arrays, **static))
         if function is with_light_edges and self._draft:
             light, *rest = arrays
-            return _corrected(
-                light, self._of(function, rest, lambda: edge_correction(rest[0], _photo(light), *rest[1:]))
+            view, weights = rest
+            return sharpened(
+                light, self._of(function, rest, lambda: edge_correction(view, own_light(light), weights))
             )
         return run_kept(function, *arrays, **static)
 
@@ -53,13 +51,3 @@ class KeptStages:
 
 def _same(a: Any, b: Any) -> bool:
     return a is b or (max(np.size(a), np.size(b)) <= FEW_NUMBERS and np.array_equal(a, b))
-
-
-def _photo(light: Float[Array, "h w c"]) -> Float[Array, "h w 3"]:
-    """The photo's own light, see `with_light_edges`."""
-    return jnp.maximum(light[..., -3:], LEAST_PHOTO_LIGHT)
-
-
-@jax.jit
-def _corrected(light: Float[Array, "h w c"], correction: Float[Array, "h w 1"]) -> Float[Array, "h w c"]:
-    return jnp.concatenate([light[..., :-3], _photo(light) * jnp.exp(correction)], axis=-1)

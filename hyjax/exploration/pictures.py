@@ -1,7 +1,7 @@
 """Relit pictures of a scene, made anew only as far as a change reaches."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,9 +23,9 @@ from hyjax.util.errors import InputError
 from hyjax.util.programs import run_kept
 
 MOST_STEPS, MOST_FINE_STEPS = 32, 8
-"""Steps that levels are filled up to, so that counts up to them share a program; steps at full size are dear."""
+"""Ends of the sliders of steps, but for levels that have more; steps at full size are dear."""
 MOST_FILLED_STEPS = 64
-"""Most steps of a level that is filled up; longer ones cost more to run than to compile."""
+"""Most steps that a level is filled up to; more cost more to run than to compile."""
 FILLING_LAM = np.float32(1e-30)
 """λ of the steps that are filled up with: too small to change any value."""
 KEPT_FRAMES = 4
@@ -38,6 +38,8 @@ DRAFT_VIEWS = 4
 """Views of a soft light in the shadow map of a draft."""
 Lights = LightSetup | str
 Stages = Iterator[tuple[str, Any]]
+Ends = Mapping[str, Sequence[int]]
+"""Cascade → ends of the sliders of its levels' steps."""
 
 
 class DraftRelighter(Relighter):
@@ -85,7 +87,8 @@ class Pictures:
         self.scene, self.fills, self._superseded = scene, False, superseded
         self._views: dict[tuple[int, int], View] = {}
         self._relighters: list[tuple[Lights, Any, DraftRelighter]] = []
-        self._whole: tuple[Any, LightSetup, SurfaceLight] | None = None  # choices, lights, surface
+        self._whole: tuple[Any, Lights, LightSetup, SurfaceLight] | None = None  # choices, lights, placed, surface
+        self._ends: dict[tuple[str, tuple[int, ...]], tuple[int, ...]] = {}
         self._frames: list[tuple[Relighter, int, LitFrame]] = []
         self._run, self._run_draft = KeptStages(), KeptStages(draft=True)
 
@@ -141,17 +144,24 @@ class Pictures:
         self._frames = [*self._frames, (relighter, frame, lit)][-KEPT_FRAMES:]
         return lit
 
-    def relit(self, frame: int, lights: Lights, configuration: Configuration, clock: StageClock) -> Relit:
+    def relit(
+        self, frame: int, lights: Lights, configuration: Configuration, clock: StageClock, *, beside: bool = False
+    ) -> Relit:
         """Relit frame.
+
+        Args:
+            frame, lights, configuration, clock: as of `lit`.
+            beside: whether it is only shown beside another, whose bounces drafts keep.
 
         Raises:
             Superseded: a newer picture was asked for meanwhile.
             InputError: the lights or the configuration cannot be used.
         """
         lit = self.lit(frame, lights, configuration, clock)
-        own = self.relighter(lights, configuration)
-        surface = own.surface_light
-        self._whole = None if surface is None else (configuration.light, own.setup, surface)
+        if not beside:
+            own = self.relighter(lights, configuration)
+            surface = own.surface_light
+            self._whole = None if surface is None else (configuration.light, lights, own.setup, surface)
         relit: Relit = clock.follow(self._followed(refine(lit, self._as_run(configuration), run=self._run)))
         return relit
 
@@ -160,15 +170,19 @@ class Pictures:
     ) -> Float[Array, "h w 3"]:
         """Relit picture at half the size, linear, with bounces of the last whole picture.
 
-        Lights that have other places than there throw coarser shadows; of the others shadow maps are kept.
+        Named lights have no bounces but their own. Lights that have other places than there throw coarser shadows;
+        of the others shadow maps are kept.
         """
         surface, moved = None, False
         if self._whole is not None and self._whole[0] == configuration.light:
-            _, setup, surface = self._whole
-            moved = isinstance(lights, LightSetup) and _places(lights) != _places(setup)
-        small = draft_of(configuration, bounces=not moved)
+            _, given, setup, found = self._whole
+            if isinstance(lights, LightSetup):
+                surface, moved = found, _places(lights) != _places(setup)
+            elif given == lights:
+                surface = found
+        small = draft_of(self._as_run(configuration), bounces=not moved)
         lit = dataclasses.replace(self.lit(frame, lights, small, clock, surface), full=None)
-        stages = refine(lit, self._as_run(small), run=self._run_draft)
+        stages = refine(lit, small, run=self._run_draft)
         picture: Float[Array, "h w 3"] = clock.follow(stages, until="composite")
         return picture
 
@@ -197,7 +211,15 @@ class Pictures:
         parts = ((part, getattr(configuration, part), getattr(usual, part).name) for part in CASCADES)
         named = {part: dataclasses.replace(schedule, name=name) for part, schedule, name in parts}
         renamed = dataclasses.replace(configuration, **named)
-        return filled(renamed) if self.fills else renamed
+        return filled(renamed, self.ends(configuration)) if self.fills else renamed
+
+    def ends(self, configuration: Configuration) -> Ends:
+        """Ends of the sliders of steps; one that a level of more steps has raised stays."""
+        found = {}
+        for part, ends in slider_ends(configuration).items():
+            key = part, tuple(level.factor for level in getattr(configuration, part).levels)
+            found[part] = self._ends[key] = tuple(map(max, ends, self._ends.get(key, ends)))
+        return found
 
     def _followed(self, stages: Stages) -> Stages:
         for stage in stages:
@@ -223,34 +245,37 @@ def same(a: Lights, b: Lights) -> bool:
     return a is b or same_setup(a, b)
 
 
-def filled(configuration: Configuration) -> Configuration:
-    """Configuration with levels filled up by steps that change nothing: counts up to a bound share a program.
+def filled(configuration: Configuration, ends: Ends) -> Configuration:
+    """Configuration with levels filled up by steps that change nothing: a slider's counts share a program.
 
-    >>> [level.steps for level in filled(Configuration()).schedule.levels]
+    >>> [level.steps for level in filled(Configuration(), slider_ends(Configuration())).schedule.levels]
     [32, 32, 32]
     """
-    schedules = (_filled(s) for s in (configuration.schedule, configuration.shadow_schedule))
-    schedule, shadow_schedule = schedules
-    return dataclasses.replace(configuration, schedule=schedule, shadow_schedule=shadow_schedule)
+    parts: Any = {part: _filled(getattr(configuration, part), most) for part, most in ends.items()}
+    return dataclasses.replace(configuration, **parts)
 
 
-def most_steps(factor: int) -> int:
-    """Bound up to which counts of a level share a program."""
-    return MOST_FINE_STEPS if factor == 1 else MOST_STEPS
+def slider_ends(configuration: Configuration) -> dict[str, tuple[int, ...]]:
+    """Most steps that the slider of each level has, by cascade."""
+    levels = {part: getattr(configuration, part).levels for part in CASCADES}
+    return {part: tuple(map(_slider_end, own)) for part, own in levels.items()}
 
 
-def _filled(schedule: Schedule) -> Schedule:
+def _slider_end(level: Level) -> int:
+    return max(MOST_FINE_STEPS if level.factor == 1 else MOST_STEPS, level.steps)
+
+
+def _filled(schedule: Schedule, ends: Sequence[int]) -> Schedule:
     if not any(level.steps for level in schedule.levels):
         return schedule  # no cascade at all
-    return dataclasses.replace(schedule, levels=tuple(_filled_level(level) for level in schedule.levels))
+    return dataclasses.replace(schedule, levels=tuple(map(_filled_level, schedule.levels, ends)))
 
 
-def _filled_level(level: Level) -> Level:
+def _filled_level(level: Level, end: int) -> Level:
     sizes = np.asarray(level.step_sizes, np.float32)
-    if len(sizes) > MOST_FILLED_STEPS or sizes.max(initial=0.0) >= 0.25:  # a cycle is stable only as it is
+    if sizes.max(initial=0.0) >= 0.25:  # a cycle is stable only as it is
         return level
-    most = most_steps(level.factor)
-    filling = np.full(most if not len(sizes) else -len(sizes) % most, FILLING_LAM)
+    filling = np.full(max(0, min(end, MOST_FILLED_STEPS) - len(sizes)), FILLING_LAM)
     return dataclasses.replace(level, step_sizes=np.concatenate([sizes, filling]))
 
 

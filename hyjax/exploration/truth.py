@@ -38,7 +38,7 @@ class KnownTruth:
         self.known = own is not None or isinstance(scene.capture, TruthCapture)
 
     def picture(
-        self, index: int, lights: LightSetup | str, setup: LightSetup | None, shape: tuple[int, ...]
+        self, index: int, lights: LightSetup | str, setup: LightSetup, shape: tuple[int, ...]
     ) -> Picture | None:
         """True picture of a frame, display values; None where it is not known.
 
@@ -52,7 +52,7 @@ class KnownTruth:
             InputError: what tells it has told a picture of another shape.
         """
         capture = self._scene.capture
-        if setup is None or not self.known:
+        if not self.known:
             return None
         if self._own is not None:
             told = self._own(index, setup)

@@ -153,17 +153,17 @@ function render({ model, el }) {
       element("div", { className: "hyjax-buttons" }, keep, swap, copy), code),
     element("div", { className: "hyjax-controls" }, setup.node, preset.node, view.node, folder("Lamps", true, lampRows), ...folders));
 
-  // Ladders: a row a level, made anew when the levels change.
+  // Ladders: a row a level, made anew when the levels, or the most steps that they can have, change.
   const ladders = {};
   function showLadder(name) {
     const levels = state().ladders[name];
-    const factors = levels.map((level) => level.factor).join();
-    if (ladders[name]?.factors !== factors) {
+    const key = levels.map((level) => [level.factor, level.most_steps]).join();
+    if (ladders[name]?.key !== key) {
       const rows = levels.map((level, index) => LADDER.map(([key, label, low, high, log]) => slider({
         label: `1/${level.factor} ${label}`, low, high: key === "steps" ? level.most_steps : high, log,
         whole: key === "steps", change: (value, draft) => send("level", { cascade: name, index, key, value, draft }),
       })));
-      ladders[name] = { factors, rows };
+      ladders[name] = { key, rows };
       ladderNodes[name].replaceChildren(...rows.map((row) => element(
         "div", { className: "hyjax-level" }, ...row.map((each) => each.node))));
     }

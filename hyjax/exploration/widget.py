@@ -101,7 +101,8 @@ class Explorer(anywidget.AnyWidget):
     ) -> None:
         self._scene, self._draft, self._ready, self._warms, self._failed = scene, False, False, False, False
         self._newest, self._judging = Newest(self._work), Newest(self._judge)
-        self._truth, self._to_judge = KnownTruth(scene, truth), ()  # frame, lights, pictures by name
+        self._truth = KnownTruth(scene, truth)
+        self._to_judge: Any = ()  # see `_judge_later`
         self._pictures = Pictures(scene, lambda: self._newest.superseded)
         self._last_ms: dict[bool, float] = {}  # of a whole, by whether its frame was kept
         self._made: tuple[LightSetup | str, str, LightSetup] | None = None
@@ -256,6 +257,7 @@ class Explorer(anywidget.AnyWidget):
             self._made = *key, lights
         elif self._made is None or self._made[:2] != key:
             self._made = *key, self._pictures.relighter(lights, configuration).setup
+        setup = self._made[2]
         with clock("JPEG"):
             picture = jpeg(to_display(image))
             if self._photo[0] != frame:
@@ -268,8 +270,8 @@ class Explorer(anywidget.AnyWidget):
             self._show_state()
         if not draft:
             self.set_trait("relit", relit)
-            self._judge_later(frame, lights, {configuration.name: relit.image})
-            self._show_sheet(view, frame, lights, configuration, relit)
+            self._judge_later(frame, lights, setup, {configuration.name: relit.image})
+            self._show_sheet(view, frame, lights, setup, configuration, relit)
         if self._warms and not draft and self._has_drafts(configuration):
             self._warms = False
             self._pictures.draft(frame, lights, configuration, StageClock())
@@ -288,36 +290,40 @@ class Explorer(anywidget.AnyWidget):
             self.sheet = b""
             self._fail(error)
 
-    def _sheet(self, view: str, frame: int, lights: Any, configuration: Configuration, relit: Relit) -> Any:
+    def _sheet(
+        self, view: str, frame: int, lights: Any, setup: LightSetup, configuration: Configuration, relit: Relit
+    ) -> Any:
         if view == "stages":
             return stages_sheet(self._scene.frame(frame).image, relit)
         if view == "truth":
-            known = self._truth.picture(frame, lights, self._setup(), relit.image.shape)
+            known = self._truth.picture(frame, lights, setup, relit.image.shape)
             if known is None:
                 raise InputError(f"truth: {UNKNOWN_TRUTH}")
             return compared_sheet(("relit", to_display(relit.image)), ("truth", known))
         if view == "levels":
             return levels_sheet(self._pictures.levels(frame, lights, configuration, StageClock()))
         other = self.other or Configuration()
-        second = self._pictures.relit(frame, lights, other, StageClock())
+        second = self._pictures.relit(frame, lights, other, StageClock(), beside=True)
         named = {f"A: {configuration.name}": relit.image, f"B: {other.name}": second.image}
-        self._judge_later(frame, lights, named)
+        self._judge_later(frame, lights, setup, named)
         return compared_sheet(*((name, to_display(image)) for name, image in named.items()))
 
-    def _judge_later(self, *asked: Any) -> None:
+    def _judge_later(self, frame: int, lights: Any, setup: LightSetup, pictures: dict[str, Any]) -> None:
+        """Judge pictures by name of a frame under lights, as given and placed."""
         if self._truth.known:
-            self._to_judge = asked
+            self._to_judge, self._failed = (frame, lights, setup, pictures), False  # whatever an older one came to
             self._judging.request()
 
     def _judge(self, _: bool) -> bool:
         """Judge the last pictures."""
-        asked: Any = self._to_judge
-        frame, lights, pictures = asked
+        asked = self._to_judge
+        frame, lights, setup, pictures = asked
         try:
-            known = self._truth.picture(frame, lights, self._setup(), next(iter(pictures.values())).shape)
+            known = self._truth.picture(frame, lights, setup, next(iter(pictures.values())).shape)
             found = [] if known is None else scores(pictures, known)
         except Exception as error:
-            self._fail(error)
+            if asked is self._to_judge:
+                self._fail(error)
             return False
         if asked is self._to_judge:
             self.set_trait("scores", found)
@@ -329,7 +335,8 @@ class Explorer(anywidget.AnyWidget):
         configuration = self.configuration
         name = self.lights if isinstance(self.lights, str) else ""
         state = {"frame": self.frame, "frames": len(self._scene), "lights": name, "setups": list(SETUPS)}
-        state |= {"values": values(configuration), "ladders": ladders(configuration), "view": self.view}
+        rows = ladders(configuration, self._pictures.ends(configuration))
+        state |= {"values": values(configuration), "ladders": rows, "view": self.view}
         presets = ["default", "paper", *PRESETS]
         state |= {"views": self._views(), "preset": configuration.name, "presets": presets}
         lamps = lamp_rows(self._setup() or (self._made and self._made[2]), self._camera)

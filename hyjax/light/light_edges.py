@@ -60,9 +60,19 @@ def with_light_edges(illuminance: Float[Array, "h w c"], view: View, weights: We
         view: of the frame, with a pose.
         weights: of the network.
     """
-    before = jnp.maximum(illuminance[..., -3:], LEAST_PHOTO_LIGHT)
-    correction = edge_correction(view, before, weights)
-    return jnp.concatenate([illuminance[..., :-3], before * jnp.exp(correction)], axis=-1)
+    return sharpened(illuminance, edge_correction(view, own_light(illuminance), weights))
+
+
+def own_light(illuminance: Float[Array, "h w c"]) -> Float[Array, "h w 3"]:
+    """The photo's own light, the last three channels of refined light."""
+    return jnp.maximum(illuminance[..., -3:], LEAST_PHOTO_LIGHT)
+
+
+@jax.jit
+def sharpened(illuminance: Float[Array, "h w c"], correction: Float[Array, "h w 1"]) -> Float[Array, "h w c"]:
+    """Refined light, of which the photo's own is multiplied by exp c, see `edge_correction`."""
+    own = own_light(illuminance) * jnp.exp(correction)
+    return jnp.concatenate([illuminance[..., :-3], own], axis=-1)
 
 
 @jax.jit

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from hyjax.exploration.controls import (
     with_level,
 )
 from hyjax.exploration.newest import Newest
-from hyjax.exploration.pictures import draft_of, filled
+from hyjax.exploration.pictures import Pictures, draft_of, filled, slider_ends
 from hyjax.light.setup import same_setup
 
 DEFAULT = hyjax.Configuration()
@@ -39,7 +39,7 @@ def test_a_level_changes_alone() -> None:
     changed = with_level(DEFAULT, "schedule", 1, "steps", 7)
     for key, value in (("kappa", 0.2), ("lam", 0.1), ("fidelity", 0.5)):
         changed = with_level(changed, "schedule", 1, key, value)
-    before, after = ladders(DEFAULT)["schedule"], ladders(changed)["schedule"]
+    before, after = (ladders(each, slider_ends(each))["schedule"] for each in (DEFAULT, changed))
     assert after[0] == before[0] and after[2] == before[2]
     expected = {"factor": 8, "steps": 7, "kappa": 0.2, "lam": 0.1, "fidelity": 0.5, "most_steps": 32}
     assert after[1] == pytest.approx(expected)
@@ -49,7 +49,7 @@ def test_a_level_changes_alone() -> None:
 @pytest.mark.parametrize("name", ["default", "fast"])
 def test_the_value_that_it_has_changes_nothing(name: str) -> None:
     preset = hyjax.Configuration.preset(name)
-    row = ladders(preset)["schedule"][0]
+    row = ladders(preset, slider_ends(preset))["schedule"][0]
     assert with_level(preset, "schedule", 0, "kappa", row["kappa"]) is preset
     assert with_choice(preset, "norm", preset.schedule.norm) is preset
     back = with_level(with_level(preset, "schedule", 0, "kappa", 0.4), "schedule", 0, "kappa", row["kappa"])
@@ -116,13 +116,27 @@ def test_drafts_have_the_cells_of_the_whole() -> None:
     assert draft_of(kept).shadows.map_scale < DEFAULT.shadows.map_scale
 
 
-def test_neighbouring_counts_have_one_shape() -> None:
-    shapes = set()
-    for count in range(33):
-        changed = with_level(DEFAULT, "schedule", 0, "steps", count)
-        shapes.add(tuple(level.steps for level in filled(changed).schedule.levels))
-        filled(changed).check()
-    assert len(shapes) == 1
+@pytest.mark.parametrize("first", ["16:3 8:7 4:6", "4:6 2:6", "16:50 4:6", "4:6 1:12"])
+def test_all_counts_of_a_slider_have_one_shape(first: str) -> None:
+    pictures: Any = Pictures(cast(Any, None))
+    pictures.fills, whole, drafts = True, set(), set()
+    begun = with_choice(DEFAULT, "cascade", first)
+    for index, end in enumerate(pictures.ends(begun)["schedule"]):
+        for count in (*range(end + 1), 0):
+            changed = with_level(begun, "schedule", index, "steps", count)
+            run = pictures._as_run(changed).check()
+            whole.add(tuple(level.steps for level in run.schedule.levels))
+            drafts.add(tuple(level.steps for level in draft_of(run).check().schedule.levels))
+            assert pictures.ends(changed) == pictures.ends(begun)  # where the page's slider ends
+    assert len(whole) == 1 == len(drafts)
+
+
+def test_long_levels_are_filled_no_further_than_others_may_be() -> None:
+    long = with_level(DEFAULT, "schedule", 0, "steps", 200)
+    assert slider_ends(long)["schedule"][0] == 200
+    for count, steps in ((200, 200), (65, 65), (64, 64), (9, 64)):
+        changed = with_level(long, "schedule", 0, "steps", count)
+        assert filled(changed, slider_ends(long)).schedule.levels[0].steps == steps
 
 
 def test_the_newest_request_wins() -> None:

@@ -12,6 +12,7 @@ from PIL import Image
 import hyjax
 from experiments.browser import browser
 from hyjax.exploration.controls import controls, ladders, values
+from hyjax.exploration.pictures import slider_ends
 
 FOLDER = Path(hyjax.__file__).parent / "exploration"
 MODEL = """
@@ -39,8 +40,13 @@ def traits() -> dict[str, Any]:
     default = hyjax.Configuration()
     lamp = {"kind": "point", "strength": 900.0, "unit": "lm", "place": [0.5, 0.25], "color": [255, 200, 150]}
     state = {"frame": 0, "frames": 8, "lights": "evening-lamps", "setups": ["noon-window", "evening-lamps"]}
-    state |= {"values": values(default), "ladders": ladders(default), "view": "wipe", "other": "", "told": 0}
-    state |= {"views": {"wipe": "photo | relit", "stages": "stages"}, "preset": "default"}
+    state |= {"values": values(default), "ladders": ladders(default, slider_ends(default)), "told": 0}
+    state |= {
+        "views": {"wipe": "photo | relit", "stages": "stages"},
+        "preset": "default",
+        "view": "wipe",
+        "other": "",
+    }
     state |= {"presets": ["default", "fast"], "lamps": [lamp, lamp | {"place": None}]}
     found = {"controls": controls(), "state": state, "photo": picture, "picture": picture, "message": ""}
     found |= {"judged": ["default: loss 0.01000"], "times": [["cascade", 3.2], ["composite", 1.0]]}
@@ -108,6 +114,11 @@ def test_controls(browser_wanted: None) -> None:
             " state.ladders.schedule.pop(); state.view = 'stages'; model.set('state', state); }"
         )
         assert page.get_by_label("1/16 κ").evaluate("input => input.nextSibling.textContent") == "0.25"
+        page.evaluate(
+            "() => { const state = structuredClone(model.get('state')); state.ladders.schedule[0].most_steps = 50;"
+            " model.set('state', state); }"
+        )
+        assert page.get_by_label("1/16 steps").get_attribute("max") == "50"
         assert page.get_by_label("1/4 steps").count() == 1  # the shadow pass has one, too
         assert not page.locator(".hyjax-stage").is_visible()
         page.evaluate(

@@ -25,12 +25,13 @@ from hyjax.core.refine import _cascade_known
 from hyjax.data.builtin_room import UP, load_room
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.truth_room import TruthCapture
-from hyjax.exploration.controls import with_level
+from hyjax.exploration.controls import with_choice, with_level
 from hyjax.exploration.pictures import Pictures
 from hyjax.exploration.truth import KnownTruth
 from hyjax.exploration.widget import DRAFT_MS, Explorer
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.light.setup import same_setup
 from hyjax.util.clock import StageClock
 from hyjax.util.images import read_image
 from hyjax.util.programs import run_kept
@@ -259,6 +260,44 @@ def test_a_draft_of_other_lights_follows_no_bounces(scene: hyjax.Scene, monkeypa
     assert np.abs(again - small).mean() < 0.5 * np.abs(draft - small).mean()
 
 
+def test_drafts_have_the_bounces_of_the_picture_that_is_shown(
+    scene: hyjax.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    widget = scene.explore(lights="center-point")
+    widget.other, widget.view = hyjax.Configuration().with_choices({"bounces": False}), "compare"
+    assert widget.wait(120.0) and not widget.message
+    followed: list[int] = []
+    surface_light = hyjax.Scene.surface_light
+
+    def counted(self: hyjax.Scene, setup: hyjax.LightSetup, **options: Any) -> Any:
+        followed.append(len(setup.lights))
+        return surface_light(self, setup, **options)
+
+    monkeypatch.setattr(hyjax.Scene, "surface_light", counted)
+    moved = hyjax.LightSetup.of(hyjax.PointLight(np.array([0.2, -0.1, 1.9]), 777.0, np.ones(3)))
+    widget._pictures.draft(0, moved, widget.configuration, StageClock())
+    assert not followed  # those of A, not of B
+    widget._pictures.draft(0, "two-colors", widget.configuration, StageClock())
+    assert followed == [len(scene.lights("two-colors").lights)]  # other named lights have no bounces of these
+
+
+def test_drafts_of_all_counts_share_a_program(
+    scene: hyjax.Scene, own: hyjax.Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran: set[tuple[int, ...]] = set()
+
+    def noted(lit: Any, configuration: hyjax.Configuration, **_: Any) -> Iterator[tuple[str, Any]]:
+        ran.add(tuple(level.steps for level in configuration.schedule.levels))
+        yield "composite", lit.view.display
+
+    monkeypatch.setattr("hyjax.exploration.pictures.refine", noted)
+    pictures, first = Pictures(scene), with_choice(own, "cascade", "4:6 2:6")
+    pictures.fills = True
+    for steps in (6, 0, 7, 9, 17, 32):
+        pictures.draft(0, "center-point", with_level(first, "schedule", 1, "steps", steps), StageClock())
+    assert ran == {(32, 32)}
+
+
 def test_a_change_of_the_cascade_leaves_the_shadow_pass(
     scene: hyjax.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -302,8 +341,12 @@ def test_older_changes_are_dropped(widget: Explorer, monkeypatch: pytest.MonkeyP
     assert np.array_equal(widget.relit.image, expected.image)
 
 
-def test_other_counts_of_steps_are_not_compiled(widget: Explorer) -> None:
+def test_other_counts_of_steps_are_not_compiled(widget: Explorer, own: hyjax.Configuration) -> None:
+    hand(widget, "level", cascade="schedule", index=1, key="kappa", value=0.19)
+    assert widget.wait(120.0)
     before = _cascade_known._cache_size()
+    widget.configuration = own
+    assert widget.wait(120.0)
     hand(widget, "level", cascade="schedule", index=1, key="kappa", value=0.2)
     assert widget.wait(120.0) and _cascade_known._cache_size() == before
     hand(widget, "ready")
@@ -358,6 +401,54 @@ def test_scores_against_the_truth(scene: hyjax.Scene, own: hyjax.Configuration) 
     widget.frame = 2
     assert not widget.wait(120.0)  # there is nothing to show beside it
     assert widget.scores == [] and "no truth is known" in widget.judged[0]
+
+
+def test_a_picture_is_judged_under_its_own_lights(
+    scene: hyjax.Scene, own: hyjax.Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[hyjax.LightSetup] = []
+    widget = hyjax.explore(
+        scene, lights="center-point", configuration=own, truth=lambda _, setup: asked.append(setup)
+    )
+    assert widget.wait(120.0)
+    monkeypatch.setattr(widget._newest, "request", lambda **_: None)  # of the next lights is no picture yet
+    widget.lights = hyjax.LightSetup.of(hyjax.PointLight(np.array([0.1, -0.4, 2.0]), 700.0, np.ones(3)))
+    widget._judge(False)
+    first, second = asked
+    assert same_setup(first, second) and not same_setup(second, widget.lights)
+
+
+@pytest.mark.parametrize("early", [False, True])
+def test_an_older_judgement_fails_no_newer_picture(
+    scene: hyjax.Scene, own: hyjax.Configuration, monkeypatch: pytest.MonkeyPatch, early: bool
+) -> None:
+    """Whether it fails before the newer picture is made, or later."""
+    begun, go = threading.Event(), threading.Event()
+
+    def truth(frame: int, _: hyjax.LightSetup) -> None:
+        if frame == 1:
+            begun.set()
+            go.wait(30.0)
+            raise hyjax.InputError("of a test")
+
+    widget = hyjax.explore(scene, lights="center-point", configuration=own, truth=truth)
+    assert widget.wait(120.0)
+    widget.frame = 1
+    assert begun.wait(120.0)
+    relit = widget._pictures.relit
+
+    def later(*arguments: Any) -> hyjax.Relit:
+        if early:
+            go.set()
+            assert widget._judging.wait(30.0) and widget._failed
+        return relit(*arguments)
+
+    monkeypatch.setattr(widget._pictures, "relit", later)
+    widget.frame = 2
+    assert widget._newest.wait(120.0)
+    go.set()
+    assert widget.wait(120.0) and widget.relit is not None
+    assert early or not widget.message
 
 
 def test_a_truth_of_another_size_is_said(scene: hyjax.Scene, own: hyjax.Configuration) -> None:
