@@ -14,7 +14,7 @@ export function connectPresets(viewer) {
     Object.assign(page, presets[select.value]);
     const { device } = viewer;
     Object.assign(viewer, { stopped: true, device: null }); // its end is no loss that `Viewer.lost` mends
-    device.destroy();
+    device?.destroy(); // there is none where the start failed
     await viewer.start().catch((error) => viewer.fail(error));
     select.disabled = false;
   });
