@@ -796,6 +796,11 @@ def test_a_lost_device_is_opened_again_twice(visit: Visit) -> None:
     visit.page.evaluate("devices.at(-1).destroy()")
     visit.page.wait_for_timeout(300)
     assert "lost three times" in visit.failure
+    visit.page.evaluate("navigator.gpu.requestAdapter = async () => null")
+    for name in (PRESET.name, "default"):  # the second where there is no device
+        menu = visit.page.locator("#preset")
+        menu.evaluate("(menu, name) => { menu.value = name; menu.dispatchEvent(new Event('change')); }", name)
+        visit.page.locator("#preset:enabled").wait_for(state="attached", timeout=10_000)
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ export function connectPresets(viewer) {
     Object.assign(page, presets[select.value]);
     const { device } = viewer;
     Object.assign(viewer, { stopped: true, device: null }); // its end is no loss that `Viewer.lost` mends
-    device?.destroy();
+    device?.destroy(); // there is none where the start failed
     await viewer.start().then(
       () => { document.body.dataset.state = "ready"; },
       (error) => viewer.fail(error),
