@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm import tqdm
@@ -28,7 +28,9 @@ from experiments.command import RunConfig, Start, experiment, run
 from experiments.judging import middle
 from experiments.records import Row, of_kind
 from experiments.timing import check_repeats
-from hyjax.exploration.widget import Explorer
+
+if TYPE_CHECKING:
+    from hyjax.exploration.widget import Explorer  # needs the extra `notebooks`
 
 GOALS = {"κ of a level": 15, "steps of a level": 30, "strength of a lamp": 25, "place of a lamp": 80}
 """Change → milliseconds that it should take while a control moves."""
@@ -63,7 +65,7 @@ def main(config: Config, start: Start) -> None:
                     results.add(kind="change", name=name, draft=draft, round=number, **taken)
 
 
-def messages(widget: Explorer, lamp: int, number: int) -> dict[str, dict[str, Any]]:
+def messages(widget: "Explorer", lamp: int, number: int) -> dict[str, dict[str, Any]]:
     """What the page sends for each change; with another number another value, hence another picture."""
     share = 0.45 + 0.4 * np.sin(1 + number)  # never what it was before
     level = {"kind": "level", "cascade": "schedule", "index": 1}

@@ -1,6 +1,8 @@
 // Page of hyjax/exploration/widget.py: pictures, lamps to drag, and a control of every choice.
 
 const SLIDER_STEPS = 1000;
+const NAMES = { point: "Lamp", spot: "Spot", rect: "Window light", directional: "Sun", ambient: "Ambient light" };
+const nameOf = (light) => NAMES[light.kind] ?? light.kind;
 const LADDER = [["steps", "steps", 0, 32, false], ["kappa", "κ", 0.002, 0.5, true],
   ["lam", "λ", 0.01, 0.2499, false], ["fidelity", "α", 0.01, 3, true]];
 const CASCADES = { schedule: "Cascade of the light", shadow_schedule: "Shadow pass" };
@@ -18,12 +20,12 @@ function element(name, attributes = {}, ...children) {
 const short = (value) => (value === null || value === undefined ? "–" : String(Number(Number(value).toPrecision(3))));
 
 // Slider with its number; says each value while it moves (draft) and when it rests.
-function slider({ label, title = "", low, high, log = false, whole = false, change }) {
+function slider({ label, aria = label, title = "", low, high, log = false, whole = false, change }) {
   const scale = log
     ? { to: (v) => Math.log(Math.max(v, low) / low) / Math.log(high / low), from: (s) => low * (high / low) ** s }
     : { to: (v) => (v - low) / (high - low), from: (s) => low + s * (high - low) };
   const steps = whole ? high - low : SLIDER_STEPS;
-  const range = element("input", { type: "range", min: 0, max: steps, step: 1, ariaLabel: label });
+  const range = element("input", { type: "range", min: 0, max: steps, step: 1, ariaLabel: aria });
   const shown = element("output");
   let held = false;
   const value = () => {
@@ -160,7 +162,7 @@ function render({ model, el }) {
     const key = levels.map((level) => [level.factor, level.most_steps]).join();
     if (ladders[name]?.key !== key) {
       const rows = levels.map((level, index) => LADDER.map(([key, label, low, high, log]) => slider({
-        label: `1/${level.factor} ${label}`, low, high: key === "steps" ? level.most_steps : high, log,
+        label: `1/${level.factor} ${label}`, aria: `${name === "schedule" ? "" : "shadows "}1/${level.factor} ${label}`, low, high: key === "steps" ? level.most_steps : high, log,
         whole: key === "steps", change: (value, draft) => send("level", { cascade: name, index, key, value, draft }),
       })));
       ladders[name] = { key, rows };
@@ -175,10 +177,10 @@ function render({ model, el }) {
   let dragged = -1;
   function makeLamps(found) {
     const rows = found.map((lamp, index) => slider({
-      label: `${index} ${lamp.kind}, ${lamp.unit}`, low: 0, high: 4 * Math.max(lamp.strength, 1),
+      label: `${index} ${nameOf(lamp)}, ${lamp.unit}`, low: 0, high: 4 * Math.max(lamp.strength, 1),
       change: (value, draft) => send("strength", { index, value, draft }) }));
     const handles = found.map((lamp, index) => {
-      const handle = element("div", { className: "hyjax-lamp", title: `${index} ${lamp.kind}` }, String(index));
+      const handle = element("div", { className: "hyjax-lamp", title: `${index} ${nameOf(lamp)}` }, String(index));
       const place = (event) => {
         const box = stage.getBoundingClientRect();
         return [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];

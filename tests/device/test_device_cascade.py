@@ -56,7 +56,7 @@ def picture(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "shape"),
-    zip([name for name in PRESETS if name != "naive-1000"], itertools.cycle([(45, 67), (64, 48)])),
+    list(zip([name for name in PRESETS if name != "naive-1000"], itertools.cycle([(45, 67), (64, 48)]))),
 )
 def test_presets(device: Any, name: str, shape: tuple[int, int]) -> None:
     (source, guide), schedule = pictures(shape, 6, 3), Schedule.preset(name)

@@ -70,7 +70,7 @@ def test_a_frame_that_shows_the_borders_is_worth_something(
     assert "RMSE cm" in printed and "| x4 | rgb, 60 steps | kappa " in printed
     assert all((config.out / f"{name}.png").is_file() for name in ("errors", "depth_sr"))
     shown = depth_sr.blocks(rows, config.out)
-    assert html(shown) and markdown(shown) + "\n" == printed
+    assert html(shown) and printed.startswith(markdown(shown))
     table = shown[0]
     bicubic = next(row for row in table.rows if row[1] == "bicubic")
     own = [row for row in scores if row["method"] == "bicubic"]

@@ -125,6 +125,6 @@ def test_controls(browser_wanted: None) -> None:
             "() => { const state = structuredClone(model.get('state')); state.lights = '';"
             " state.lamps[0].kind = 'spot'; model.set('state', state); }"
         )
-        assert page.get_by_label("0 spot, lm").count() == 1
+        assert page.get_by_label("0 Spot, lm").count() == 1
         page.evaluate("() => window.close_()")
         assert not errors
