@@ -180,9 +180,9 @@ def test_readme_picture(
     assert 10 < picture["psnr_db"] < 40
     assert "without the real place" in capsys.readouterr().err
     heights = [picture_shape(tmp_path / "readme.png")[0]]
-    monkeypatch.setattr(readme_picture, "open_relit_pairs", lambda _: [room_pair("builtin-0", "96x72", 0.25)])
+    monkeypatch.setattr(real_bench, "open_relit_pairs", lambda _: [room_pair("builtin-0", "96x72", 0.25)])
     config = dataclasses.replace(config, folder=tmp_path, pair="builtin-0")
-    real, _ = of_kind(rows_of(readme_picture.main, config, "readme.png"), "picture")
+    _, real = of_kind(rows_of(readme_picture.main, config, "readme.png"), "picture")
     assert real["setup"] == "fitted" and 10 < real["psnr_db"] < 40
     heights.append(picture_shape(tmp_path / "readme.png")[0])
     assert heights[1] == 2 * heights[0] + readme_picture.GAP
