@@ -4,14 +4,15 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from PIL import Image, ImageDraw
 
 from hyjax.scene.inspection import Inspection, points_from_above
-from hyjax.util.contact_sheet import BACKGROUND, GAP, contact_sheet
+from hyjax.util.contact_sheet import GAP, contact_sheet
 from hyjax.util.images import write_png
 
 PLAN_HEIGHT, MARGIN = 420, 12
 """Of the plan from above, in pixels."""
-GRID, SURFACE, PATH = 0.2, 0.6, (1.0, 0.25, 0.2)
+BACKGROUND, GRID, SURFACE, PATH = "#171717", "#333333", "#999999", "#ff4033"
 UNKNOWN = (0.15, 0.15, 0.4)
 """Colour of pixels without depth."""
 
@@ -47,22 +48,19 @@ def _plan(
     room = np.array([width, PLAN_HEIGHT]) - 2 * MARGIN
     pixels = (room / np.maximum(high - low, 1e-3)).min()  # a metre
     origin = np.array([width, PLAN_HEIGHT]) / 2 - pixels * (low + high) / 2
-    plan = np.full((PLAN_HEIGHT, width, 3), BACKGROUND)
 
-    def put(points: Float[np.ndarray, "k 2"], color: object, size: int = 1) -> None:
-        column, row = np.round(origin + pixels * points).astype(int).T
-        for down in range(-(size // 2), (size + 1) // 2):
-            for right in range(-(size // 2), (size + 1) // 2):
-                r, c = PLAN_HEIGHT - 1 - row + down, column + right
-                inside = (r >= 0) & (r < PLAN_HEIGHT) & (c >= 0) & (c < width)
-                plan[r[inside], c[inside]] = color
+    def places(points: Float[np.ndarray, "k 2"]) -> list[tuple[float, float]]:
+        column, up = np.round(origin + pixels * points).T
+        return list(zip(column.tolist(), (PLAN_HEIGHT - 1 - up).tolist()))
 
-    columns, rows = (
-        np.arange(start % pixels, count, pixels).astype(int) for start, count in zip(origin, (width, PLAN_HEIGHT))
-    )
-    plan[:, columns] = plan[PLAN_HEIGHT - 1 - rows] = GRID
-    put(surface, SURFACE)
-    steps = np.linspace(0, len(path) - 1, max(2, 64 * len(path)))
-    put(np.stack([np.interp(steps, np.arange(len(path)), side) for side in path.T], axis=-1), PATH, 2)
-    put(path[:1], PATH, 9)
-    return plan
+    image = Image.new("RGB", (width, PLAN_HEIGHT), BACKGROUND)
+    draw = ImageDraw.Draw(image)
+    for column in np.arange(origin[0] % pixels, width, pixels):
+        draw.line([(column, 0), (column, PLAN_HEIGHT)], GRID)
+    for up in np.arange(origin[1] % pixels, PLAN_HEIGHT, pixels):
+        draw.line([(0, PLAN_HEIGHT - 1 - up), (width, PLAN_HEIGHT - 1 - up)], GRID)
+    draw.point(places(surface), SURFACE)
+    walked = places(path)
+    draw.line(walked, PATH, 3)
+    draw.regular_polygon((*walked[0], 6), 4, fill=PATH)
+    return np.asarray(image, np.float32) / 255
