@@ -90,7 +90,9 @@ def main(config: Config, start: Start) -> None:
         kept.save(KEPT_PICTURE, quality=85, optimize=True)
 
 
-def beside_each_other(rows: Sequence[Pictures], width: int) -> Float[np.ndarray, "h w 3"]:
+def beside_each_other(
+    rows: Sequence[Sequence[Float[np.ndarray, "_ _ 3"]]], width: int
+) -> Float[np.ndarray, "h w 3"]:
     """Rows of pictures, each so wide, with white between them."""
     lines = []
     for pictures in rows:

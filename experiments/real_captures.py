@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 import hyjax
+from experiments.readme_picture import beside_each_other
 from experiments.real_bench import RealPlace, named_pairs
 from experiments.records import ROOT
 from hyjax.util.errors import InputError
@@ -21,7 +22,6 @@ SCANS = {"scanner3d_chair": 8, "scanner3d_corridor": 12, "scanner3d_board": 10}
 """Folder → frame."""
 PAIRS = ("Piano", "Djembe")
 SIZE = 240, 320
-GAP = 6
 
 
 def real_captures() -> UInt8[np.ndarray, "h w 3"]:
@@ -36,13 +36,10 @@ def real_captures() -> UInt8[np.ndarray, "h w 3"]:
     settings = {name: hyjax.SceneSettings(capture=DATA / name, size=f"{SIZE[1]}x{SIZE[0]}") for name in SCANS}
     scenes = [(hyjax.Scene.open(one), SCANS[name]) for name, one in settings.items()]
     scenes += [(RealPlace(pair, False, "true").scene, 0) for pair in pairs]
-    columns = []
-    for scene, frame in scenes:
-        relit = hyjax.to_display(scene.relit(frame, "evening-lamps").image)
-        shown = [cut(np.asarray(picture)) for picture in (scene.frame(frame).image, relit)]
-        white = np.ones((GAP, SIZE[1], 3))
-        columns += [np.concatenate([shown[0], white, shown[1]]), np.ones((2 * SIZE[0] + GAP, GAP, 3))]
-    return np.round(np.clip(np.concatenate(columns[:-1], axis=1), 0, 1) * 255).astype(np.uint8)
+    photos = [cut(scene.frame(frame).image) for scene, frame in scenes]
+    relit = [hyjax.to_display(scene.relit(frame, "evening-lamps").image) for scene, frame in scenes]
+    whole = beside_each_other([photos, [cut(np.asarray(picture)) for picture in relit]], SIZE[1])
+    return np.round(np.clip(whole, 0, 1) * 255).astype(np.uint8)
 
 
 def cut(picture: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "height width 3"]:
