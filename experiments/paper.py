@@ -10,13 +10,13 @@ Benchmarks: LPIPS, PSNR and SSIM of frames relit by the bare mesh, the paper's m
 3. *Relighting fidelity*: two dim coloured points; the relit frame against the frame relit with the filter of an
    accurate surface (`experiments.references` says which, how it is cleaned and where it is not relied on).
 
-The schedule is `paper-80`; nothing casts shadows. Methods come in two groups, since a filter is multiplied with
-display values in the paper and with light in hyjax: every filter both ways, and the accurate one of the third
-benchmark as its group does. A filter of one mean colour is among them: it has no edges to get wrong and may well
-win the first two benchmarks, so that these alone say nothing. κ defaults to what tuning frames say for the RGB
-guide (`guide_worth`); with another `--guide` give its own by `--kappa` and `--paper-kappa`. The paper's own figures
-stand beside for the direction of its comparison only: 1.8 dB, as it has in the second benchmark, is hardly possible
-for pictures in [0, 1].
+The paper's mode has the schedule `paper-80`, ours `hyjax`; nothing casts shadows. Methods come in two groups, since
+a filter is multiplied with display values in the paper and with light in hyjax: every filter both ways, and the
+accurate one of the third benchmark as its group does. A filter of one mean colour is among them: it has no edges to
+get wrong and may well win the first two benchmarks, so that these alone say nothing. κ of the paper's mode is what
+tuning frames say for the RGB guide (`guide_worth`), ours the schedule's; with another `--guide` give its own by
+`--paper-kappa` and `--kappa`. The paper's own figures stand beside for the direction of its comparison only: 1.8
+dB, as it has in the second benchmark, is hardly possible for pictures in [0, 1].
 
 The ablations are on `--few` of these frames, spread over them.
 
