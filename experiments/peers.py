@@ -22,6 +22,7 @@ from jaxtyping import Float
 from experiments.peers_report import SMOOTHER
 from hyjax.core.schedule import Schedule
 from hyjax.util.errors import InputError
+from hyjax.util.images import to_bytes
 
 # Eq. 2, one pass over memory a step; what a C programmer writes first, with the compiler told to use the machine.
 SOURCE = r"""
@@ -205,7 +206,7 @@ def opencv_filters(guide: Float[np.ndarray, "h w 3"]) -> dict[str, tuple[Filter,
     cv2 = optional("cv2")
     if cv2 is None or not hasattr(cv2, "ximgproc"):
         return {}
-    eight_bits = np.round(np.clip(guide, 0, 1) * 255).astype(np.uint8)
+    eight_bits = to_bytes(guide)
     floats = np.ascontiguousarray(guide, np.float32)
 
     def global_smoother(y: np.ndarray, strength: float, smoothness: float) -> np.ndarray:
@@ -249,7 +250,7 @@ def opencv_diffusion(picture: Float[np.ndarray, "h w 3"], steps: int) -> Callabl
     cv2 = optional("cv2")
     if cv2 is None or not hasattr(cv2, "ximgproc"):
         return None
-    eight_bits = np.round(picture * 255).astype(np.uint8)
+    eight_bits = to_bytes(picture)
     return lambda: cv2.ximgproc.anisotropicDiffusion(eight_bits, 0.2, 0.1, steps)
 
 

@@ -15,7 +15,7 @@ from experiments.readme_picture import beside_each_other
 from experiments.real_bench import RealPlace, named_pairs
 from experiments.records import ROOT
 from hyjax.util.errors import InputError
-from hyjax.util.images import resize
+from hyjax.util.images import resize, to_bytes
 
 DATA = Path(os.environ.get("HYJAX_DATA", ROOT.parent / "shared" / "data"))
 SCANS = {"scanner3d_chair": 8, "scanner3d_corridor": 12, "scanner3d_board": 10}
@@ -39,7 +39,7 @@ def real_captures() -> UInt8[np.ndarray, "h w 3"]:
     photos = [cut(scene.frame(frame).image) for scene, frame in scenes]
     relit = [hyjax.to_display(scene.relit(frame, "evening-lamps").image) for scene, frame in scenes]
     whole = beside_each_other([photos, [cut(np.asarray(picture)) for picture in relit]], SIZE[1])
-    return np.round(np.clip(whole, 0, 1) * 255).astype(np.uint8)
+    return to_bytes(whole)
 
 
 def cut(picture: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "height width 3"]:

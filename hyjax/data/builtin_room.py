@@ -19,6 +19,7 @@ from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays, keep_arrays, read_kept
 from hyjax.util.errors import InputError
+from hyjax.util.images import to_bytes
 
 if TYPE_CHECKING:
     import trimesh
@@ -256,7 +257,7 @@ def _rendered(
         return cached_arrays(light_file, lambda arrays: arrays["irradiance"], lambda: {"irradiance": bake()})
 
     for image, depth in photographs(room, cameras, quality, progress, kept):
-        yield np.round(image * 255).astype(np.uint8), depth
+        yield to_bytes(image), depth
 
 
 def _arrays(

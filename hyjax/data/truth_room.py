@@ -17,6 +17,7 @@ from hyjax.synthetic.truth import TruthLight, TruthRoom, lit_room
 from hyjax.synthetic.truth.room import VERSION, source_key, truth_exposure
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
 from hyjax.util.files import digest
+from hyjax.util.images import to_bytes
 
 Picture = Float[np.ndarray, "h w 3"]
 
@@ -128,7 +129,7 @@ def _photograph(room: TruthRoom, folder: Path, n_frames: int, width: int, height
     frames = [room.photograph(light, camera, number) for number, camera in enumerate(cameras)]
     k = cameras[0].intrinsics
     return {
-        "images": np.stack([np.round(image * 255).astype(np.uint8) for image, _ in frames]),
+        "images": np.stack([to_bytes(image) for image, _ in frames]),
         "depth": np.stack([depth for _, depth in frames]),
         "poses": np.stack([camera.pose for camera in cameras]),
         "scan_poses": np.stack([camera.pose for camera in room.walks.scan(scan_config().frames, 256, 192)]),

@@ -18,7 +18,7 @@ from hyjax.data.video_frames import REC_709, import_av, new_video
 from hyjax.data.writers import Frames, seen_through, turned_up
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
-from hyjax.util.images import write_depth, write_labels
+from hyjax.util.images import to_bytes, write_depth, write_labels
 
 ENCODERS = ("libx264", "libx265", "hevc", "h264")
 """Video encoders, the first that FFmpeg has is taken."""
@@ -79,7 +79,7 @@ def _write_video(av: Any, path: Path, pictures: Iterable[Float[np.ndarray, "h w 
                 raise InputError(
                     f"{path.name}: frame {number} is {sizes[0]}, the first is {sizes[1]}; a video has one size"
                 )
-            pixels = np.round(np.clip(picture, 0.0, 1.0) * 255.0).astype(np.uint8)
+            pixels = to_bytes(picture)
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
             frame = frame.reformat(format="yuv444p", dst_colorspace=REC_709, dst_color_range=LIMITED_RANGE)
             frame.pts, frame.time_base = number, Fraction(1, 30)

@@ -16,6 +16,7 @@ from hyjax.device.frame_program import SceneCounts, frame_program
 from hyjax.device.precision_check import precision_check
 from hyjax.device.program import Precision, columns_rows, shader_text
 from hyjax.geometry.camera import Camera
+from hyjax.util.images import to_bytes
 
 PAGE_FORMAT = 2
 """Version of page.json. Add one whenever older scripts could not read it."""
@@ -39,7 +40,7 @@ def frame_entry(name: str, camera: Camera, file: str) -> dict[str, Any]:
 def frame_picture(image: Float[np.ndarray, "h w 3"], *, lossless: bool = False) -> bytes:
     """File of a frame's display values: JPEG, or PNG."""
     file = io.BytesIO()
-    picture = Image.fromarray(np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8))
+    picture = Image.fromarray(to_bytes(image))
     if lossless:
         picture.save(file, "PNG", optimize=True)
     else:

@@ -22,6 +22,7 @@ from hyjax.data.recording import rigid
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
+from hyjax.util.images import to_bytes
 from hyjax.util.reading import parse_json
 
 KIND = "hyjax-live-1"
@@ -37,9 +38,7 @@ _log = logging.getLogger(__name__)
 def write_live_frame(stream: BinaryIO, frame: Frame) -> None:
     """Write a frame as a message: its picture as JPEG, its depth in whole millimetres."""
     picture = io.BytesIO()
-    Image.fromarray(np.round(np.clip(frame.image, 0.0, 1.0) * 255.0).astype(np.uint8)).save(
-        picture, "JPEG", quality=QUALITY
-    )
+    Image.fromarray(to_bytes(frame.image)).save(picture, "JPEG", quality=QUALITY)
     header: dict[str, Any] = {
         "kind": KIND,
         "name": frame.name,

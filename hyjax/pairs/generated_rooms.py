@@ -11,6 +11,7 @@ from hyjax.synthetic.random_room import RenderedView, make_random_room, photogra
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest
+from hyjax.util.images import to_bytes
 from hyjax.util.lru_cache import LruCache
 
 VERSION = 5
@@ -117,7 +118,7 @@ class GeneratedRooms:
 
 def _rounded(shots: list[RenderedView]) -> _Stored:
     return _Stored(
-        np.stack([np.round(s.image * 255).astype(np.uint8) for s in shots]),
+        np.stack([to_bytes(s.image) for s in shots]),
         np.stack([np.round(np.minimum(s.depth / DEPTH_STEP, 65535)).astype(np.uint16) for s in shots]),
         np.stack([np.round(s.normal * 127).astype(np.int8) for s in shots]),
     )

@@ -12,6 +12,7 @@ from hyjax.pairs.augmentation import Crop, Packed, random_crop
 from hyjax.pairs.depth_pairs import DepthPairs
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest
+from hyjax.util.images import to_bytes
 
 GENERATED_COUNT = 1 << 20
 """Number of pairs from which a source generates them: they are read in their order, in which neighbours share a
@@ -121,7 +122,7 @@ class _PairMemory:
         if found is not None:
             return found
         pair = source[index]
-        image = np.round(np.clip(pair.image, 0, 1) * 255).astype(np.uint8)
+        image = to_bytes(pair.image)
         normal = None if pair.normal is None else np.round(pair.normal * 127).astype(np.int8)
         packed = Packed(image, np.where(pair.valid, pair.depth, np.float32(0)), normal, pair.unit == "disparity")
         with self._lock:

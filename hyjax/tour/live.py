@@ -20,6 +20,7 @@ from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import LampKind, TourPlan
 from hyjax.tour.renderer import Renderer
 from hyjax.tour.viewpoint import Viewpoint
+from hyjax.util.images import to_bytes
 
 MOST_KEPT_FRAMES = 240
 """Frames that can be gone back to; when there are more, every second one is forgotten."""
@@ -41,7 +42,7 @@ class LiveCapture(Capture):
 
     def append(self, frame: Frame) -> bool:
         """Add a frame; true if others were forgotten for it, so that frames have other numbers now."""
-        small = np.round(np.clip(frame.image, 0.0, 1.0) * 255.0).astype(np.uint8)
+        small = to_bytes(frame.image)
         empty = np.broadcast_to(np.zeros((), np.float32), frame.image.shape)  # takes no memory
         entry = small, dataclasses.replace(frame, image=empty, depth=None, depth_intrinsics=None, confidence=None)
         full = len(self._frames) >= self._most

@@ -121,11 +121,19 @@ def _read(path: Path, where: str | None, only: str | None = None, *, in_srgb: bo
 
 
 @checked_arguments
-def write_png(path: Path, display: Float[np.ndarray, "h w"] | Float[np.ndarray, "h w c"]) -> None:
-    """Write display-encoded values in [0, 1] as an 8-bit PNG."""
-    pixels = np.round(np.clip(np.asarray(display, dtype=np.float32), 0.0, 1.0) * 255.0).astype(np.uint8)
+def write_png(
+    path: Path,
+    display: Float[np.ndarray, "h w"] | Float[np.ndarray, "h w c"] | UInt8[np.ndarray, "h w c"],
+) -> None:
+    """Write display-encoded values, in [0, 1] or as bytes, as an 8-bit PNG."""
+    pixels = display if display.dtype == np.uint8 else to_bytes(display)
     space = {"oiio:ColorSpace": "srgb_rec709_scene"}
     _write(path, pixels, "uint8", {**space, "png:compressionLevel": PNG_LEVEL, "png:filter": PNG_FILTER})
+
+
+def to_bytes(display: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"]:
+    """Values in [0, 1] in 256 steps; those beyond are clipped."""
+    return np.round(np.clip(np.asarray(display, np.float32), 0.0, 1.0) * np.float32(255.0)).astype(np.uint8)
 
 
 def write_depth(path: Path, depth: Float[np.ndarray, "h w"], unit: float = 0.001) -> None:
