@@ -17,7 +17,9 @@ from hyjax.geometry.depth_map import NEAR_LIMIT, READING_TOLERANCE
 from hyjax.scene.fusion import LEAST_OVERLAP, LOW_COVERAGE, Readings, coverage_of, plan_fusion
 from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.surfaces import ENOUGH_COVERAGE
+from hyjax.util.cores import cores
 from hyjax.util.errors import InputError
+from hyjax.util.prefetch import prefetch
 from hyjax.util.vectors import orthonormal_frame
 
 SAMPLE_COUNT = 12
@@ -139,11 +141,19 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
     sizes, exposures, times, shown = [], [], [], []
     samples = spread(range(len(capture)), SAMPLE_COUNT)
     pictured = spread(samples, SHOWN_COUNT)
-    for index in tqdm(samples, "reading", disable=not progress, unit="frame"):
+
+    def read(index: int) -> Frame | InputError:
         try:
-            frame = capture[index]
+            return capture[index]
         except InputError as error:
-            doubts.append(str(error))
+            return error
+
+    frames = prefetch(read, samples, threads=cores())
+    for index, frame in zip(
+        samples, tqdm(frames, "reading", total=len(samples), disable=not progress, unit="frame")
+    ):
+        if isinstance(frame, InputError):
+            doubts.append(str(frame))
             continue
         sizes.append((frame.camera.intrinsics.width, frame.camera.intrinsics.height))
         times.append(frame.time)
