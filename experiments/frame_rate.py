@@ -11,9 +11,10 @@ there are cores. *CPU* is time of all cores together, which other work on the ma
 - *Size*: 256² to 2048². Time a pixel at the largest size over that at the smallest should not be above 1.5.
 - *Long* (`--long 20000`): rate and memory after a tenth, a half and all frames.
 - *Quality* (`--rooms NAME ...`): PSNR against the true pictures of rooms (`experiments.truth`), by sampling.
+- *Large frames* (`--large-rooms NAME ...`): the same of frames relit at half their size and at full size.
 
-Takes three minutes on two cores without the last two. `--guard` makes the process fail where a ratio within the run
-is beyond its limit.
+Takes three minutes on two cores without the last three. `--guard` makes the process fail where a ratio within the
+run is beyond its limit.
 
 Expect: thirty frames a second and more on two idle cores, twenty on one; the same time a pixel at all sizes; and
 the same PSNR, to a hundredth of a decibel, as with light at every pixel.
@@ -33,15 +34,12 @@ from matplotlib.figure import Figure
 
 from experiments.blocks import Block, Plot, Table
 from experiments.command import RunConfig, Start, bind_to_cores, experiment, run
+from experiments.frame_quality import add_large, add_samplings, differences, tables
 from experiments.plotting import new_figure
 from experiments.records import Results, Row, machine, of_kind
-from experiments.truth_bench import TruthBench
-from experiments.truth_camera import Exposed, fit_gains
-from hyjax.configuration import Configuration
 from hyjax.data.capture import Frame
 from hyjax.data.frames import fit, spread
 from hyjax.light.color import to_display_bytes
-from hyjax.metrics import psnr
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.relighter import Relighter, refine
 from hyjax.scene.scene import Scene
@@ -52,7 +50,6 @@ from hyjax.util.errors import InputError
 from hyjax.util.memory import keep_freed_memory
 from hyjax.util.prefetch import prefetch
 
-SETUPS = ("evening-lamps", "two-colors", "golden-hour", "night-moon")
 RATE_SIZE = 512
 """Pixels a side of the pictures for frame rates by sampling and by mesh."""
 WARM_UP = 4
@@ -82,6 +79,8 @@ class Config(RunConfig):
     """Its pixels a side."""
     rooms: tuple[str, ...] = ()
     """Rooms of known truth to judge the samplings in, see `experiments.truth`."""
+    large_rooms: tuple[str, ...] = ()
+    """Likewise to judge large frames in."""
     cores: int | None = None
     """How many cores to run on; by default all that this process may use."""
     guard: bool = False
@@ -183,7 +182,9 @@ def main(config: Config, start: Start) -> str | None:
         for mark in WholeFrames(scene, config, config.long_size, config.samplings[0]).long(config.long):
             results.add(kind="long", **mark)
     for room in config.rooms:
-        add_quality(results, room, config.samplings)
+        add_samplings(results, room, config.samplings)
+    for room in config.large_rooms:
+        add_large(results, room)
     broken = [what for what, _, _, holds in guard(results.rows) if not holds] if config.guard else []
     return f"beyond its limit: {'; '.join(broken)}" if broken else None
 
@@ -217,19 +218,6 @@ def add_rate(results: Results, scene: Scene, config: Config, sampling: int) -> N
     results.add(kind="rate", faces=faces, sampling=sampling, divided=divided, stages=stages, **found)
 
 
-def add_quality(results: Results, room: str, samplings: Sequence[int]) -> None:
-    bench = TruthBench(room, 12, (320, 240), 1.0)
-    for setup in SETUPS:
-        for index in spread(range(12), 6):
-            truth = bench.capture.truth(bench.scene.lights(setup), [index])[0]
-            for sampling in samplings:
-                own = Configuration().with_choices({"sampling": sampling})
-                exposed = Exposed(np.asarray(bench.scene.relit(index, setup, own).image))
-                fitted = exposed.display(fit_gains(exposed, truth))
-                scores = {"raw": float(psnr(exposed.display(), truth)), "fitted": float(psnr(fitted, truth))}
-                results.add(kind="quality", room=room, setup=setup, index=index, sampling=sampling, **scores)
-
-
 def guard(rows: Sequence[Row]) -> list[tuple[str, float, float, bool]]:
     """Ratios within the run: name, ratio, limit, whether it holds. A ratio that was not measured does not hold."""
     nan = float("nan")
@@ -247,17 +235,6 @@ def guard(rows: Sequence[Row]) -> list[tuple[str, float, float, bool]]:
     if quality := of_kind(rows, "quality"):
         ratios.append(("dB lost by sampling", -min(differences(quality).values(), default=0.0), 0.1))
     return [(what, ratio, limit, ratio <= limit) for what, ratio, limit in ratios]
-
-
-def differences(quality: Sequence[Row]) -> dict[tuple[int, str], float]:
-    """Mean difference in dB of each sampling above 1 to sampling 1, raw and fitted."""
-    scores = {(row["room"], row["setup"], row["index"], row["sampling"]): row for row in quality}
-    found: dict[tuple[int, str], list[float]] = {}
-    for (*picture, sampling), row in scores.items():
-        if sampling > 1 and (whole := scores.get((*picture, 1))) is not None:
-            for fit_name in ("raw", "fitted"):
-                found.setdefault((sampling, fit_name), []).append(row[fit_name] - whole[fit_name])
-    return {key: float(np.mean(values)) for key, values in found.items()}
 
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
@@ -296,18 +273,7 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     if long := of_kind(rows, "long"):
         lines = [[str(row["frames"]), f"{row['fps']:.1f}", f"{row['memory_mib']:.0f}"] for row in long]
         shown.append(Table("One long run.", ["frames", "frames/s since the line above", "MiB"], lines))
-    if quality := of_kind(rows, "quality"):
-        lines = [[str(k), fit_name, f"{value:+.3f}"] for (k, fit_name), value in differences(quality).items()]
-        rooms = len({row["room"] for row in quality})
-        shown.append(
-            Table(
-                f"PSNR against true pictures less that of sampling 1, dB: mean of {rooms} rooms under "
-                f"{len(SETUPS)} set-ups.",
-                ["sampling", "picture", "difference"],
-                lines,
-                names=2,
-            )
-        )
+    shown += tables(rows)
     lines = [[what, f"{ratio:.2f}", f"{limit:g}", "yes" if ok else "no"] for what, ratio, limit, ok in guard(rows)]
     return [*shown, Table("Guard.", ["ratio", "found", "limit", "holds"], lines)]
 

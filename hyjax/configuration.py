@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import logging
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -33,6 +34,8 @@ SUFFIX = ".json"
 DEFAULT = "default"
 CUSTOM = "custom"
 """Name of an unnamed configuration."""
+USUAL_PIXELS = 640 * 480
+"""Number of pixels of a usual frame, such as a depth camera's."""
 FOLDER = Path(__file__).with_name("configurations")
 PRESETS = ("quality", "balanced", "fast")
 """Configurations that come with hyjax, chosen by `hyjax tune` over rooms of known truth."""
@@ -66,7 +69,8 @@ class Configuration:
         schedule: cascade for the shading.
         shadow_schedule: cascade for the visibility; one of no steps at all leaves the shadow pass out.
         mode: of `relight`.
-        scale: the frame is relit at its size over this, and the filter brought to full size under the frame.
+        scale: the frame is relit at its size over this, and the filter brought to full size under the frame; larger
+            frames at a smaller one, see `scale_of`.
         light: how light on the surface is computed. Its sampling is at most what the schedules allow.
         shadows: how shadows are.
         guide: what guides the diffusion.
@@ -163,6 +167,19 @@ class Configuration:
         """Values of all active choices, in the order of the table."""
         found = {name: self.value(name) for name in CHOICES}
         return {name: value for name, value in found.items() if CHOICES[name].active(found)}
+
+    def scale_of(self, shape: tuple[int, int]) -> int:
+        """Factor by which a frame of that height and width is relit smaller.
+
+        Frames of four, nine, … times 640 x 480 pixels are relit at a half, a third, … of their size, over `scale`:
+        light has no finer detail than the scan. The paper's form works at full size.
+
+        >>> [Configuration().scale_of(shape) for shape in ((512, 512), (960, 1280), (1440, 1920))]
+        [1, 2, 3]
+        """
+        if self.mode == "paper":
+            return self.scale
+        return self.scale * max(1, math.isqrt(shape[0] * shape[1] // USUAL_PIXELS))
 
     @checked_arguments
     def with_choices(self, values: Mapping[str, Any]) -> "Configuration":

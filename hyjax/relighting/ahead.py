@@ -61,7 +61,13 @@ def knows_lights(scene: Scene, lights: Any, settings: RelightSettings) -> bool:
 
 
 def begin_programs(
-    scene: Scene, chosen: Sequence[int], setup: LightSetup, configuration: Configuration, guide: FrameGuide
+    scene: Scene,
+    chosen: Sequence[int],
+    setup: LightSetup,
+    configuration: Configuration,
+    guide: FrameGuide,
+    *,
+    video: bool,
 ) -> None:
     """Begin to read or compile the largest programs of a frame on other threads, where programs are kept.
 
@@ -74,7 +80,7 @@ def begin_programs(
         size = scene.size or scene.capture.camera(chosen[0]).intrinsics.shape
     except InputError:  # of a damaged frame, told in its turn
         return
-    height, width = level_shape(size, configuration.scale)
+    height, width = level_shape(size, configuration.scale if video else configuration.scale_of(size))
     sampling, count = configuration.light.sampling, len(setup.lights)
     samples = level_shape((height, width), sampling)
 
@@ -110,7 +116,7 @@ def compile_ahead(
 
     What the estimate of the photo's light says of the set-up must change strengths alone.
     """
-    begin_programs(scene, chosen, setup, configuration, guide)
+    begin_programs(scene, chosen, setup, configuration, guide, video=settings.video)
     relighter = Relighter(
         EvenlyLitPlace(scene),
         setup,
@@ -118,6 +124,7 @@ def compile_ahead(
         guide=guide,
         shadows=settings.shadows,
         occluders=settings.occluders,
+        video=settings.video,
         clock=clock,
     )
     with clock("programs"), contextlib.suppress(InputError):  # of a damaged frame, told in its turn

@@ -164,7 +164,7 @@ def relight_run(
             if begun and not ahead and scene.photo_light.pending:
                 compile_ahead(scene, chosen, setup, settings, configuration, guide, clock)
             elif settings.renderer == "shadow_map" and not ahead:
-                begin_programs(scene, chosen, setup, configuration, guide)
+                begin_programs(scene, chosen, setup, configuration, guide, video=settings.video)
             relighter = Relighter(
                 scene,
                 setup,

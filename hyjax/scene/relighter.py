@@ -169,7 +169,7 @@ class Relighter:
     @checked_arguments
     def gbuffer(self, camera: Camera, *, rays: bool = False) -> GBuffer:
         """Surface that a camera sees, at the configuration's scale; see `Scene.gbuffer`."""
-        return self.place.gbuffer(scaled(camera, self.configuration.scale), rays=rays)
+        return self.place.gbuffer(scaled(camera, self._scale(camera)), rays=rays)
 
     @checked_arguments
     def view(self, frame: int | Frame) -> View:
@@ -238,7 +238,7 @@ class Relighter:
                 yield "g-buffer", gbuffer
             view = self._view(opened, gbuffer)
             yield "view", view
-        full = self._on_device(jax.device_put(opened.image)) if self.configuration.scale > 1 else None
+        full = self._on_device(jax.device_put(opened.image)) if self._scale(opened.camera) > 1 else None
         if self._shader is None:
             for stage, shaded in self._shade_stages(view):
                 yield stage, shaded
@@ -253,11 +253,17 @@ class Relighter:
 
     def _view(self, frame: Frame, gbuffer: GBuffer) -> View:
         """View at the configuration's scale."""
-        scale = self.configuration.scale
+        scale = self._scale(frame.camera)
         if scale == 1:
             return self._on_device(view_of(frame, gbuffer))
         display = downsample(jax.device_put(frame.image), scale)
         return self._on_device(camera_view(display, gbuffer, scaled(frame.camera, scale)))
+
+    def _scale(self, camera: Camera) -> int:
+        """Scale of a frame; refined light is carried on, and another renderer's picture taken, at full size."""
+        if self._video is not None or self._shader is not None:
+            return self.configuration.scale
+        return self.configuration.scale_of(camera.intrinsics.shape)
 
     def _on_device(self, arrays: T) -> T:
         """Arrays on the device of this relighter, where it has one of its own."""

@@ -303,7 +303,9 @@ class Arrangement:
     ) -> PhotographedFrame:
         """Light of a frame when it was photographed."""
         sampling = self._sampling
-        gbuffer = self._seen(scaled(camera, self._configuration.scale), self._scene.apply(TourPlan()))
+        gbuffer = self._seen(
+            scaled(camera, self._configuration.scale_of(camera.intrinsics.shape)), self._scene.apply(TourPlan())
+        )
         samples = run_kept(sample_pixels, gbuffer, sampling=sampling)
         hit = samples.hit[..., None]
         photo_light = jnp.where(hit, on_pixels(light.photo_light, light.faces, samples), 1.0)

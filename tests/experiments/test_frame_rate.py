@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from experiments import frame_rate
+from experiments import frame_quality, frame_rate
 from experiments.records import Row
 from hyjax.util.errors import InputError
 
@@ -39,7 +39,18 @@ def test_the_guard_tells_what_got_slower_or_worse() -> None:
 def test_differences_are_of_the_same_picture() -> None:
     rows = [quality(1, 30.0), quality(2, 29.0), quality(1, 20.0, room="c"), quality(2, 22.0, room="c")]
     rows.append(quality(2, 5.0, room="not judged whole"))
-    assert frame_rate.differences(rows) == {(2, "raw"): 0.5, (2, "fitted"): 0.5}
+    assert frame_quality.differences(rows) == {(2, "raw"): 0.5, (2, "fitted"): 0.5}
+
+
+def test_large_frames_are_compared_picture_by_picture() -> None:
+    picture = {"kind": "large", "room": "a", "setup": "b", "index": 0}
+    rows = [
+        picture | {"whole": whole, "index": i, "raw": raw, "fitted": 30.0, "cpu_ms": 40.0 if whole else 10.0}
+        for i, pair in enumerate([(20.5, 20.0), (24.0, 25.0)])
+        for whole, raw in zip((False, True), pair)
+    ]
+    (table,) = frame_quality.tables(rows)
+    assert table.rows[0][1:] == ["-0.25", "-1", "+0.5"] and table.rows[2][1:] == ["-30", "-30", "-30"]
 
 
 @pytest.mark.parametrize(

@@ -13,12 +13,15 @@ from hyjax import (
     InputError,
     LightSetup,
     PointLight,
+    Relighter,
     RelightSettings,
     Scene,
     SceneSettings,
     View,
     relight_capture,
 )
+from hyjax import configuration as configuration_module
+from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
@@ -27,6 +30,7 @@ from hyjax.scene import scene as scene_module
 
 UP = np.array([0.0, 0.0, 1.0])
 LENS = Intrinsics(16, 12, 10.0, 10.0, 8.0, 6.0)
+LAMP = PointLight(np.array([0.5, 0.0, 0.2]), 900.0, np.ones(3))
 
 
 class Box(Capture):
@@ -210,3 +214,16 @@ def test_named_lights_come_from_the_windows_of_a_file(tmp_path: Path) -> None:
     for at_sources in (True, False):
         sky = scene.lights("night-moon", at_photo_sources=at_sources).lights[0]
         assert np.allclose(sky.center, [0, 1.99, 0], atol=1e-5) == at_sources
+
+
+@pytest.mark.usefixtures("casts")
+def test_large_frames_are_relit_at_a_smaller_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(Box(), box())
+    kept = Configuration().with_choices({"photo_light": "kept"})
+    halved = Relighter(scene, LAMP, kept.with_choices({"scale": 2})).relit(0)
+    monkeypatch.setattr(configuration_module, "USUAL_PIXELS", LENS.width * LENS.height // 4)
+    relighter = Relighter(scene, LAMP, kept)
+    assert relighter.view(0).frame.shape == (6, 8, 3)
+    np.testing.assert_array_equal(relighter.relit(0).image, halved.image)
+    for whole in (Relighter(scene, LAMP, kept, video=True), Relighter(scene, LAMP, "paper")):
+        assert whole.view(0).frame.shape == whole.relit(0).image.shape == (12, 16, 3)
