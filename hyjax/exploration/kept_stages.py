@@ -1,5 +1,6 @@
 """Results of a refinement's stages, kept as long as what they are made from stays."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -7,7 +8,7 @@ import jax
 import numpy as np
 
 from hyjax.light.light_edges import edge_correction, own_light, sharpened, with_light_edges
-from hyjax.pipeline import refine_visibility
+from hyjax.pipeline import refine_illuminance, refine_visibility
 from hyjax.util.programs import run_kept
 
 MOST_KEPT = 4
@@ -20,16 +21,20 @@ class KeptStages:
     """Runs the functions of `refine`: the shadow pass again only if what it is made from has changed.
 
     Args:
-        draft: whether the correction by light edges is kept, too, though lights or choices of the light change.
+        draft: whether the cascade's light is kept, too, and the correction by light edges, though lights or choices
+            of the light change.
     """
 
     def __init__(self, *, draft: bool = False) -> None:
         self._draft = draft
+        self._cascades = (refine_illuminance, refine_visibility) if draft else (refine_visibility,)
         self._kept: list[tuple[Any, list[Any], Any]] = []
 
     def __call__(self, function: Callable[..., Any], *arrays: Any, **static: Any) -> Any:
-        if function is refine_visibility:
-            return self._of(function, arrays, lambda: run_kept(function, *arrays, **static))
+        if function in self._cascades:
+            shaded, *rest = arrays
+            made_from = dataclasses.replace(shaded, colors=None), *rest  # no cascade takes colours
+            return self._of(function, made_from, lambda: run_kept(function, *arrays, **static))
         if function is with_light_edges and self._draft:
             light, *rest = arrays
             view, weights = rest
@@ -39,10 +44,11 @@ class KeptStages:
         return run_kept(function, *arrays, **static)
 
     def _of(self, function: Any, arrays: Any, make: Callable[[], Any]) -> Any:
-        """Result of the same arrays as before, or a new one."""
+        """Result of the same arrays as before, or a new one; those that were used longest ago go."""
         leaves, tree = jax.tree.flatten(arrays)
-        for own, earlier, result in self._kept:
+        for place, (own, earlier, result) in enumerate(self._kept):
             if own == (function, tree) and all(map(_same, leaves, earlier)):
+                self._kept.append(self._kept.pop(place))
                 return result
         result = make()
         self._kept = [*self._kept, ((function, tree), leaves, result)][-MOST_KEPT:]

@@ -117,6 +117,22 @@ class Pictures:
         known = [relighter for own, own_key, relighter in self._relighters if own_key == key and same(own, lights)]
         return any(relighter in known and index == frame for relighter, index, _ in self._frames)
 
+    def _brightened(
+        self, frame: int, lights: LightSetup, configuration: Configuration, surface: Any
+    ) -> LitFrame | None:
+        """Frame of a kept draft under lights of other strengths, made as bright as these; None if there is none.
+
+        Light is linear in strengths, and so are the cascades: factors of the colours leave these as they are.
+        """
+        key = light_key(configuration), id(surface)
+        known = [relighter for _, own_key, relighter in self._relighters if own_key == key]
+        for relighter, index, lit in reversed(self._frames):
+            factors = _factors(relighter.setup, lights) if relighter in known and index == frame else None
+            if factors is not None:
+                colors = np.asarray(lit.shaded.colors) * factors[:, None]
+                return dataclasses.replace(lit, shaded=dataclasses.replace(lit.shaded, colors=colors))
+        return None
+
     def lit(
         self,
         frame: int,
@@ -171,7 +187,7 @@ class Pictures:
         """Relit picture at half the size, linear, with bounces of the last whole picture.
 
         Named lights have no bounces but their own. Lights that have other places than there throw coarser shadows;
-        of the others shadow maps are kept.
+        of the others shadow maps are kept. Where a kept draft differs in strengths alone, its light is scaled.
         """
         surface, moved = None, False
         if self._whole is not None and self._whole[0] == configuration.light:
@@ -181,7 +197,8 @@ class Pictures:
             elif given == lights:
                 surface = found
         small = draft_of(self._as_run(configuration), bounces=not moved)
-        lit = dataclasses.replace(self.lit(frame, lights, small, clock, surface), full=None)
+        lit = self._brightened(frame, lights, small, surface) if isinstance(lights, LightSetup) else None
+        lit = dataclasses.replace(lit or self.lit(frame, lights, small, clock, surface), full=None)
         stages = refine(lit, small, run=self._run_draft)
         picture: Float[Array, "h w 3"] = clock.follow(stages, until="composite")
         return picture
@@ -236,6 +253,21 @@ def light_key(configuration: Configuration) -> Any:
 def _places(setup: LightSetup) -> list[Any]:
     """All that shadow maps depend on, of each light."""
     return [geometry_key(light) for light in setup.lights]
+
+
+def _factors(before: LightSetup, after: LightSetup) -> np.ndarray | None:
+    """Factor of each light's strength; None for set-ups that differ in more, or in lights that fall everywhere."""
+    alike = before.reference_lux == after.reference_lux and dict(before.existing) == dict(after.existing)
+    if not alike or _places(before) != _places(after):
+        return None
+    factors = []
+    for old, new in zip(before.lights, after.lights):
+        was, strength = (float(np.asarray(getattr(light, light.STRENGTH))) for light in (old, new))
+        other = was <= 0 or (old.UNIFORM and was != strength)
+        if other or not np.array_equal(old.color, new.color):
+            return None
+        factors.append(strength / was)
+    return np.asarray(factors, np.float32)
 
 
 def same(a: Lights, b: Lights) -> bool:

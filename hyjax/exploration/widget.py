@@ -26,7 +26,7 @@ from hyjax.scene.scene import AnyConfiguration, AnyLights, Scene
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError, one_line, shown
 
-DRAFT_MS = 60.0
+DRAFT_MS = 15.0
 """Milliseconds of a picture beyond which a draft is made of it while a control is moved."""
 LARGEST_DRAFT_SCALE = 4
 """Largest scale of a configuration that is halved."""

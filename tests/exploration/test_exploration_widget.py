@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -258,6 +259,59 @@ def test_a_draft_of_other_lights_follows_no_bounces(scene: hyjax.Scene, monkeypa
     assert casts == [0.25]  # those of lights that stand where they stood are kept
     small = np.asarray(whole).reshape(24, 2, 32, 2, 3).mean(axis=(1, 3))
     assert np.abs(again - small).mean() < 0.5 * np.abs(draft - small).mean()
+
+
+@pytest.fixture
+def ran(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the stages' functions that were run."""
+    found: list[str] = []
+
+    def noted(function: Any, *arrays: Any, **static: Any) -> Any:
+        found.append(function.__name__)
+        return run_kept(function, *arrays, **static)
+
+    monkeypatch.setattr("hyjax.exploration.kept_stages.run_kept", noted)
+    return found
+
+
+LAMP = hyjax.PointLight(np.array([0.1, -0.4, 2.0]), 777.0, np.ones(3))
+WARM = hyjax.PointLight(np.array([-0.6, 0.5, 1.2]), 300.0, np.array([1.0, 0.8, 0.6]))
+SKY = hyjax.AmbientLight(30.0, np.ones(3))
+CHANGED = {
+    "stronger": ((LAMP, WARM, SKY), (replace(LAMP, luminous_flux=999.0), WARM, SKY), True),
+    "off": ((LAMP, WARM, SKY), (LAMP, replace(WARM, luminous_flux=0.0), SKY), True),
+    "on": ((LAMP, replace(WARM, luminous_flux=0.0), SKY), (LAMP, WARM, SKY), False),
+    "other colour": ((LAMP, WARM, SKY), (LAMP, replace(WARM, color=np.array([0.2, 0.8, 1.0])), SKY), False),
+    "falls everywhere": ((LAMP, WARM, SKY), (LAMP, WARM, replace(SKY, illuminance=60.0)), False),
+    "other place": ((LAMP, WARM, SKY), (replace(LAMP, position=np.array([0.2, -0.4, 2.0])), WARM, SKY), False),
+    "fewer": ((LAMP, WARM), (LAMP,), False),
+}
+"""Lights before, lights after, whether the refined light is scaled."""
+
+
+@pytest.mark.parametrize("name", CHANGED)
+def test_a_draft_of_other_strengths_scales_refined_light(name: str, scene: hyjax.Scene, ran: list[str]) -> None:
+    before, after, scaled = CHANGED[name]
+    first, second = map(hyjax.LightSetup.of, (before, after))
+    pictures, clock, configuration = Pictures(scene), StageClock(), hyjax.Configuration()
+    pictures.relit(0, first, configuration, clock)
+    earlier = np.asarray(pictures.draft(0, first, configuration, clock))
+    ran.clear()
+    found = np.asarray(pictures.draft(0, second, configuration, clock))
+    cascades = {"refine_illuminance", "refine_visibility"}
+    assert cascades.isdisjoint(ran) if scaled else cascades <= {*ran}
+    fresh = Pictures(scene)
+    fresh._whole = pictures._whole  # of its bounces
+    np.testing.assert_allclose(found, fresh.draft(0, second, configuration, clock), rtol=1e-5, atol=1e-5)
+    assert np.abs(found - earlier).max() > 1e-3 or name == "falls everywhere"  # ambient light is in the bounces
+
+
+def test_drafts_of_a_kappa_keep_the_shadow_pass(scene: hyjax.Scene, ran: list[str]) -> None:
+    pictures, configuration = Pictures(scene), hyjax.Configuration()
+    for kappa in np.linspace(0.1, 0.2, 7):
+        changed = with_level(configuration, "schedule", 1, "kappa", float(kappa))
+        pictures.draft(0, hyjax.LightSetup.of(LAMP), changed, StageClock())
+    assert ran.count("refine_visibility") == 1 and ran.count("refine_illuminance") == 7
 
 
 def test_drafts_have_the_bounces_of_the_picture_that_is_shown(
