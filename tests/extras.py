@@ -23,6 +23,11 @@ PEERS = "torch", "torchvision", "timm", "segmentation_models_pytorch", "lpips", 
 PLAIN = "test", "train"
 """Extras that README's command brings."""
 
+needs_blender = pytest.mark.skipif(
+    find_spec("bpy") is None and not os.environ.get("HYJAX_BLENDER"),
+    reason="no Blender: bpy is not installed here and HYJAX_BLENDER names no python that has it",
+)
+
 
 def modules_of(requirements: list[str]) -> set[str]:
     """Modules that requirements bring."""

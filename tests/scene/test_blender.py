@@ -5,7 +5,6 @@ Shading is compared where a light throws at least 2 % of its strongest; below th
 
 import dataclasses
 import importlib.util
-import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from extras import needs_blender
 
 from hyjax import (
     AmbientLight,
@@ -43,11 +43,6 @@ from hyjax.scene.light_places import survey_capture
 from hyjax.scene.light_setups import named_setup
 from hyjax.scene.scene import Scene
 from hyjax.util.images import read_image
-
-needs_blender = pytest.mark.skipif(
-    importlib.util.find_spec("bpy") is None and not os.environ.get("HYJAX_BLENDER"),
-    reason="no Blender: bpy is not installed here and HYJAX_BLENDER names no python that has it",
-)
 
 WHITE = jnp.ones(3)
 
