@@ -35,14 +35,18 @@ SECONDS_A_CELL = 600
 SMALL_ROOM = "160x120"  # everywhere the same, as in the examples: the photo's light is estimated once
 LIGHT_KEPT = 'hyjax.Configuration().with_choices({"photo_light": "kept"})'
 EVERY_PIXEL = 'hyjax.Configuration().with_choices({"sampling": 1})'
+SMALL_WIDGET = {
+    "SceneSettings()": f'SceneSettings(size="{SMALL_ROOM}")',
+    'explore(lights="evening-lamps")': f"explore(configuration={EVERY_PIXEL})",  # programs of notebook 02's cells
+}
 SMALLER = {
-    "01_equations.ipynb": {"(512, 512": "(256, 256", "(10, 100, 1000)": "(10, 30, 100)"},
+    "01_equations.ipynb": {"(512, 512": "(256, 256", "(10, 100, 1000)": "(10, 30, 100)"} | SMALL_WIDGET,
     "02_relight_a_room.ipynb": {
-        "SceneSettings()": f'SceneSettings(size="{SMALL_ROOM}")',
         '"noon-window", "evening-lamps", "night-moon"': '"evening-lamps",',  # each compiles programs
-        'explore(lights="evening-lamps")': f"explore(configuration={EVERY_PIXEL})",  # programs of the cells before
-    },
+    }
+    | SMALL_WIDGET,
     "03_tune_a_frame_rate.ipynb": {
+        "SceneSettings()": f'SceneSettings(size="{SMALL_ROOM}")',
         "journal =": "from hyjax.tuning import proof\nproof.ROUNDS = 3\njournal =",
         'size="192"': f'size="{SMALL_ROOM}"',
         'frames="0,12", holdout="19,22"': 'frames="0", holdout="19"',
