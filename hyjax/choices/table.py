@@ -103,7 +103,7 @@ for _row in (
         "scale",
         int,
         1,
-        "The frame is relit at its size over this, a large one at less, and the filter brought to full size under it.",
+        "The frame is relit at its size over this, a large one at less; the filter is brought up under it.",
         bounds=(1, 8),
         tried=Tried((1, 2, 3, 4), scale="ordered"),
         said=("page",),
