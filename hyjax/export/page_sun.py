@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from hyjax.data.frames import spread
 from hyjax.device.page_scene import setup_content
 from hyjax.scene.scene import Scene
 
@@ -12,6 +13,8 @@ BEARING = 240.0
 """Bearing of the first window, degrees from north: an afternoon sun comes in."""
 STEP_HOURS = 0.5
 """Hours."""
+CAMERAS = 8
+"""That see the surface for which the sun is exposed."""
 _log = logging.getLogger(__name__)
 
 
@@ -28,7 +31,7 @@ def sun_table(scene: Scene, day: str = "2026-06-21", latitude: float = 48.0) -> 
         _log.info("web: no sun by the hour: this room has no windows")
         return None
     try:
-        from hyjax.tour.lighting import ADAPTATION, LEAST_AMBIENT, WALL_REFLECTANCE, setup_of
+        from hyjax.tour.lighting import ADAPTATION, LEAST_AMBIENT, WALL_REFLECTANCE, Lighting
         from hyjax.tour.placement import as_point, north_for_bearing
         from hyjax.tour.plan import MOST_WINDOWS, TourPlan, Window
     except ImportError:
@@ -44,13 +47,18 @@ def sun_table(scene: Scene, day: str = "2026-06-21", latitude: float = 48.0) -> 
         for w in windows[:MOST_WINDOWS]
     )
     plan = TourPlan(day=day, latitude=latitude, windows=openings, north=north_for_bearing(openings[0], BEARING, up))
-    a, b, c = scene.mesh.extents
-    area = 2.0 * float(a * b + b * c + c * a)
-    rows = []
+    cameras = [scene.capture.camera(index) for index in spread(range(len(scene.capture)), CAMERAS)]
+    photo = scene.photo_light.estimate.light if scene.knows_photo_light else None
+    lighting, rows = Lighting(scene.caster, cameras, up, photo), []
     for hour in np.arange(0.0, 24.0, STEP_HOURS):
-        setup = setup_of(_at(plan, float(hour)), up, area)
-        content = setup_content(setup)
-        rows.append({"hour": float(hour), "reference_lux": content["reference_lux"], "lights": content["lights"]})
+        at = _at(plan, float(hour))
+        rows.append(
+            {
+                "hour": float(hour),
+                "lux": lighting.outside(at).lux,
+                "lights": setup_content(lighting.setup(at))["lights"],
+            }
+        )
     return {
         "day": day,
         "latitude": latitude,
@@ -58,7 +66,7 @@ def sun_table(scene: Scene, day: str = "2026-06-21", latitude: float = 48.0) -> 
         "adaptation": ADAPTATION,
         "walls": WALL_REFLECTANCE,
         "least_ambient": LEAST_AMBIENT,
-        "surface_area": area,
+        "surface_area": lighting.surface_area,
     }
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from hyjax.data.light_file import write_lights
 from hyjax.data.video_frames import new_video
 from hyjax.geometry.mesh import save_mesh
-from hyjax.tour.lighting import setup_of
 from hyjax.tour.messages import Message, packed
 from hyjax.tour.plan import TourPlan
 from hyjax.tour.render_queue import RenderQueue
@@ -61,7 +60,7 @@ class Downloads:
                 return self._written(message, name, lambda file: write_png(file, picture))
             return self._written(message, name, lambda file: write_exr(file, rendered.linear))
         if message.task == "lights":
-            setup = setup_of(plan, renderer.up, renderer.surface_area)
+            setup = renderer.lighting.setup(plan)
             return self._written(message, "lights.json", lambda file: write_lights(file, setup))
         mesh = renderer.scene.apply_to_mesh(plan)
         return self._written(message, "mesh.ply", lambda file: save_mesh(file, mesh))

@@ -1,13 +1,17 @@
-"""Lights of a plan: sky and sun through its windows, its lamps, and bounces of the room."""
+"""Lights of a plan: sky and sun through its windows, its lamps, bounces of the room; and the exposure for them."""
 
+import dataclasses
 import functools
 import math
 from collections.abc import Mapping, Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
+from hyjax.geometry.camera import Camera
+from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import blackbody, luminance
 from hyjax.light.kinds import (
     AmbientLight,
@@ -18,9 +22,15 @@ from hyjax.light.kinds import (
     RectLight,
     SpotLight,
 )
+from hyjax.light.photo_light import PhotoLight
 from hyjax.light.setup import REFERENCE_LUX, LightSetup
+from hyjax.scene.exposure import exposed
+from hyjax.scene.light_response import assumed_response, measured_response
+from hyjax.scene.light_setups import EXPOSURES
+from hyjax.scene.seen_surface import SeenSurface
 from hyjax.tour.placement import as_point, compass, upright
 from hyjax.tour.plan import KINDS, Lamp, Point, TourPlan
+from hyjax.util.lru_cache import LruCache
 from hyjax.util.vectors import unit
 
 GLASS_TRANSMITTANCE = 0.7
@@ -40,45 +50,103 @@ SPOT_DEGREES = 20.0, 40.0
 SUN_RADIUS = np.asarray(np.deg2rad(0.27), np.float32)
 LEAST_AMBIENT = 1e-3
 """Lux: a picture is never entirely dark."""
+KEPT_HOURS = 64
+"""Lights from outside that are kept."""
 
 
-def setup_of(
-    plan: TourPlan, up: Float[np.ndarray, "3"], surface_area: float, flicker: Mapping[int, float] | None = None
-) -> LightSetup:
-    """Lights of a plan and the illuminance that the camera exposes for; see `lights_of`.
+@dataclasses.dataclass(frozen=True)
+class Outside:
+    """Light through the windows, as a camera shows it that is exposed for the room.
 
-    The camera does not follow a flicker: exposure is that of steady lamps.
+    Attributes:
+        lights: sky and sun of each window, the sun dimmer than it is where it would burn out.
+        lumen, kelvin: of all of it, as far as the room throws it back.
+        lux: illuminance that the camera exposes for.
     """
-    steady = lights_of(plan, up, surface_area)
-    lights = lights_of(plan, up, surface_area, flicker) if flicker else steady
-    existing = {name: (factor, factor, factor) for name, factor in plan.existing.items()}
-    return LightSetup(lights, reference_lux(steady, plan.exposure), existing)
+
+    lights: tuple[Light, ...]
+    lumen: float
+    kelvin: float
+    lux: float
 
 
-def lights_of(
-    plan: TourPlan, up: Float[np.ndarray, "3"], surface_area: float, flicker: Mapping[int, float] | None = None
-) -> tuple[Light, ...]:
-    """Lights of a plan: for each window its sky and its sun, the lamps, one ambient light.
+class Lighting:
+    """Lights of plans in a room, and the camera's exposure for them.
 
-    What the room throws back is one ambient light, E = ρ Φ / (S (1 − ρ)) with all the light Φ that comes in, the
+    What the room throws back is one ambient light, E = ρ Φ / (S (1 − ρ)) with all the light Φ of the lamps, the
     room's surface S and its mean reflectance ρ: the sphere that photometry integrates in.
 
-    Args:
-        plan: what is set up.
+    Attributes:
         up: against gravity, world axes.
-        surface_area: of the room's walls, floor and ceiling together, square metres.
-        flicker: factors on the light of some lamps, by their number.
+        surface_area: of floor, walls and ceiling of a box around the room, square metres.
+
+    Args:
+        caster: surface of the room.
+        cameras: of the capture, which see the surface that is exposed for.
+        up: see above.
+        photo: light of the photos where it is divided out; None where it is kept.
     """
-    lights, flux = lights_from_outside(plan, up)
-    for number, lamp in enumerate(plan.lamps):
-        if lamp.on and lamp.lumen > 0:
-            lumen = lamp.lumen * (flicker or {}).get(number, 1.0)
-            lights.append(_lamp_light(lamp, lumen, up))
-            flux.append((lumen, lamp.kelvin))
-    total, kelvin = mixed(flux)
-    bounced = WALL_REFLECTANCE * total / (surface_area * (1.0 - WALL_REFLECTANCE))
-    lights.append(AmbientLight(_float32(max(bounced, LEAST_AMBIENT)), _color(kelvin)))
-    return tuple(lights)
+
+    def __init__(
+        self,
+        caster: RayCaster,
+        cameras: Sequence[Camera],
+        up: Float[np.ndarray, "3"],
+        photo: PhotoLight | None = None,
+    ) -> None:
+        a, b, c = caster.mesh.extents
+        self.up, self.surface_area = up, 2.0 * float(a * b + b * c + c * a)
+        self._seen, self._photo = SeenSurface.of(caster, cameras)[0], photo
+        self._outside = LruCache(KEPT_HOURS)
+
+    def setup(self, plan: TourPlan, flicker: Mapping[int, float] | None = None) -> LightSetup:
+        """Lights of a plan and the illuminance that the camera exposes for.
+
+        For each window its sky and its sun, then the lamps, then one ambient light. The camera does not follow a
+        flicker: exposure is that of steady lamps.
+
+        Args:
+            plan: what is set up.
+            flicker: factors on the light of some lamps, by their number.
+        """
+        outside = self.outside(plan)
+        lights, flux, steady = [*outside.lights], [(outside.lumen, outside.kelvin)], 0.0
+        for number, lamp in enumerate(plan.lamps):
+            if lamp.on and lamp.lumen > 0:
+                lumen = lamp.lumen * (flicker or {}).get(number, 1.0)
+                lights.append(_lamp_light(lamp, lumen, self.up))
+                flux.append((lumen, lamp.kelvin))
+                steady += lamp.lumen
+        total, kelvin = mixed(flux)
+        ambient = max(self._thrown_back(total), LEAST_AMBIENT)
+        lights.append(AmbientLight(_float32(ambient), _color(kelvin)))
+        # Light that has bounced is what lamps give a room on average.
+        reference = reference_lux(outside.lux + 2.0 * self._thrown_back(steady)) * 2.0**-plan.exposure
+        existing = {name: (factor, factor, factor) for name, factor in plan.existing.items()}
+        return LightSetup(tuple(lights), reference, existing)
+
+    def outside(self, plan: TourPlan) -> Outside:
+        """Light through a plan's windows, exposed as the named set-ups of `hyjax relight` are."""
+        key = plan.hour, plan.day, plan.latitude, plan.north, plan.weather, plan.windows
+        return self._outside(key, lambda: self._exposed(plan))
+
+    def _exposed(self, plan: TourPlan) -> Outside:
+        lights, flux = lights_from_outside(plan, self.up)
+        if not lights:
+            return Outside((), 0.0, NEUTRAL_KELVIN, 0.0)
+        every, seen = (*lights, AmbientLight(_float32(1.0), _color(mixed(flux)[1]))), self._seen
+        lux, photo = seen.lux(every), self._photo
+        response = assumed_response(every, lux, seen) if photo is None else measured_response(every, seen, photo)
+        setup = exposed(LightSetup(every), lux, seen, EXPOSURES["noon-window"], response)
+        *shown, ambient = jax.tree.map(_float32, setup.lights)
+        left = [_strength(new) / max(_strength(old), 1e-9) for new, old in zip(shown, lights, strict=True)]
+        _, kelvin = mixed([(share * lumen, kelvin) for share, (lumen, kelvin) in zip(left, flux, strict=True)])
+        lumen = _strength(ambient) / self._thrown_back(1.0)
+        return Outside(tuple(shown), lumen, kelvin, setup.reference_lux)
+
+    def _thrown_back(self, lumen: float) -> float:
+        """Lux of the ambient light that lamps become."""
+        return WALL_REFLECTANCE * lumen / (self.surface_area * (1.0 - WALL_REFLECTANCE))
 
 
 def mixed(flux: Sequence[tuple[float, float]]) -> tuple[float, float]:
@@ -114,14 +182,14 @@ def lights_from_outside(
     return lights, flux
 
 
-def reference_lux(lights: Sequence[Light], exposure: float) -> float:
-    """The illuminance that the camera exposes for.
+def reference_lux(lux: float) -> float:
+    """Illuminance that leaves the photos as they are, of a camera that is exposed for `lux`.
 
-    Light that has bounced is what a room looks like on average, so exposure follows it: by day short, at night
-    long, but not all the way, or night would look like day.
+    By day it follows the light; where there is less than in the photos, not all the way, or night would look like
+    day.
     """
-    ambient = sum(float(getattr(light, light.STRENGTH)) for light in lights if light.UNIFORM)
-    return float((2.0 * ambient) ** ADAPTATION * REFERENCE_LUX ** (1.0 - ADAPTATION) * 2.0**-exposure)
+    lux = max(lux, 2.0 * LEAST_AMBIENT)
+    return float(max(lux, lux**ADAPTATION * REFERENCE_LUX ** (1.0 - ADAPTATION)))
 
 
 def flicker(seconds: float, number: int) -> float:
@@ -148,6 +216,10 @@ def _lamp_light(lamp: Lamp, lumen: float, up: Float[np.ndarray, "3"]) -> Light:
 def _rectangle(center: Point, normal: Point, width: float, height: float, up: Point) -> Aperture:
     axis = np.asarray(normal)
     return Aperture.facing(np.asarray(center), axis, upright(axis, np.asarray(up)), width, height)
+
+
+def _strength(light: Light) -> float:
+    return float(getattr(light, light.STRENGTH))
 
 
 def _color(kelvin: float) -> Float[np.ndarray, "3"]:

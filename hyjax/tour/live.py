@@ -61,6 +61,13 @@ class LiveRenderer(Renderer):
     """Renderer of frames that arrive, on a surface that changes; see `Renderer`."""
 
     live = True
+    _exposed = 0
+
+    def expose(self) -> None:
+        """Expose plans for the surface as it is now, as often as the number of frames has doubled."""
+        if len(self.capture) >= 2 * self._exposed:
+            self._exposed = len(self.capture)
+            super().expose()
 
     def _editable(self) -> EditableScene:
         assert isinstance(self.place, LiveScene)

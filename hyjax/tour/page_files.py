@@ -20,7 +20,7 @@ from hyjax.device.scene_arrays import scene_arrays
 from hyjax.geometry.shadow_caster import RESOLUTION, VIEW_RESOLUTION
 from hyjax.light.setup import REFERENCE_LUX
 from hyjax.scene.scene import Scene
-from hyjax.tour.lighting import ADAPTATION, LEAST_AMBIENT, WALL_REFLECTANCE, setup_of
+from hyjax.tour.lighting import ADAPTATION, LEAST_AMBIENT, WALL_REFLECTANCE
 from hyjax.tour.plan import KINDS, LARGEST_FACTOR, MOST_LAMPS, TourPlan
 from hyjax.tour.renderer import Renderer
 from hyjax.tour.sky import Weather
@@ -108,7 +108,7 @@ class PageFiles:
                 "bounds": np.asarray(renderer.scene.mesh.bounds).tolist(),
                 "sources": [] if photo is None else list(photo.estimate.names),
             },
-            "setup": setup_content(setup_of(plan, renderer.up, renderer.surface_area)),
+            "setup": setup_content(renderer.lighting.setup(plan)),
             "default_reference_lux": REFERENCE_LUX,
             "light_keys": light_keys(),
             "sun": {
@@ -116,7 +116,7 @@ class PageFiles:
                 "adaptation": ADAPTATION,
                 "walls": WALL_REFLECTANCE,
                 "least_ambient": LEAST_AMBIENT,
-                "surface_area": renderer.surface_area,
+                "surface_area": renderer.lighting.surface_area,
             },
             "server": {
                 "engine": self._engine if self.for_gpus else "server",
@@ -146,7 +146,7 @@ class PageFiles:
         )
         packed = pack_scene(arrays)
         size = renderer.camera(0).intrinsics.shape
-        setup = setup_of(renderer.first_plan(), renderer.up, renderer.surface_area)
+        setup = renderer.lighting.setup(renderer.first_plan())
         described = {
             **page_programs(arrays.counts, size, configuration, RESOLUTIONS),
             "scene": describe_scene(scene, setup, arrays),

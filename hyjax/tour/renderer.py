@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.frames import fit, fit_camera
+from hyjax.data.frames import fit, fit_camera, spread
 from hyjax.geometry.camera import Camera
 from hyjax.guide.choose import configured_guide
 from hyjax.light.color import to_display
@@ -35,7 +35,7 @@ from hyjax.tour.arrangement import Arrangement
 from hyjax.tour.editable_scene import EditableScene
 from hyjax.tour.furniture import merge_gbuffers
 from hyjax.tour.layers import Caches, KeptGuide
-from hyjax.tour.lighting import flicker, setup_of
+from hyjax.tour.lighting import Lighting, flicker
 from hyjax.tour.picture import COMPARED_STAGES, RenderedFrame, shown_stage, surface_stage, to_bytes
 from hyjax.tour.placement import as_point, north_for_bearing, place_lamp
 from hyjax.tour.plan import LampKind, TourPlan, Window
@@ -48,6 +48,8 @@ if TYPE_CHECKING:
 ALBEDO = 0.6
 """Of a mesh whose true colours are unknown."""
 AFTERNOON, BEARING = 16.0, 240.0
+EXPOSED_FRAMES = 8
+"""Frames that see the surface for which plans are exposed."""
 
 
 class Renderer:
@@ -57,7 +59,7 @@ class Renderer:
         capture: frames with poses.
         up: against gravity.
         scene: the surface, which plans edit.
-        surface_area: of floor, walls and ceiling of a box around it, square metres.
+        lighting: lights of plans in it.
         photo_light: that the frames were taken under; None if it stays in the pictures.
         live: whether frames arrive, see `hyjax.tour.live`.
         numbering: number of the times that frames were numbered anew.
@@ -103,8 +105,13 @@ class Renderer:
     def follow(self) -> None:
         """Render on the place's surface as it is now; a picture at work is finished on the one before."""
         self.scene = self._editable()
-        a, b, c = self.scene.mesh.extents
-        self.surface_area = 2.0 * float(a * b + b * c + c * a)
+        self.expose()
+
+    def expose(self) -> None:
+        """Expose plans for the surface as it is now."""
+        photo = None if self.photo_light is None else self.photo_light.estimate.light
+        cameras = [self.captured_camera(index) for index in spread(range(len(self.capture)), EXPOSED_FRAMES)]
+        self.lighting = Lighting(self.scene.caster, cameras, self.up, photo)
 
     def forget_frames(self) -> None:
         """Forget all that is known of frames by their numbers, which are other ones now."""
@@ -241,7 +248,7 @@ class Renderer:
 
     def _setup(self, plan: TourPlan, flames: dict[int, float] | None = None) -> LightSetup:
         """Lights of a plan; nothing is left of sources that were not divided out."""
-        setup = setup_of(plan, self.up, self.surface_area, flames)
+        setup = self.lighting.setup(plan, flames)
         return setup if self.photo_light is not None else dataclasses.replace(setup, existing={})
 
     def _configured(self, schedule: Schedule, *, fully: bool) -> Configuration:

@@ -13,7 +13,6 @@ from hyjax.geometry.camera import Camera
 from hyjax.light.setup import LightSetup
 from hyjax.tour.daylight import describe_daylight
 from hyjax.tour.editable_scene import SurfaceHit
-from hyjax.tour.lighting import lights_from_outside, mixed
 from hyjax.tour.messages import Message
 from hyjax.tour.placement import as_point, draw_window, place_window
 from hyjax.tour.plan import Piece
@@ -31,14 +30,13 @@ def camera_of(renderer: Renderer, message: Message) -> Camera:
 
 
 def daylight(renderer: Renderer, message: Message) -> dict[str, Any]:
-    """Light from outside as entries of a lights file, its lumens and their kelvin, and all that in words."""
-    lights, flux = lights_from_outside(message.plan, renderer.up)
-    lumen, kelvin = mixed(flux)
-    entries = setup_content(LightSetup(tuple(lights)))["lights"]
+    """Light from outside as entries of a lights file, with its numbers (see `Outside`), and all that in words."""
+    outside = renderer.lighting.outside(message.plan)
     return {
-        "lights": entries,
-        "lumen": lumen,
-        "kelvin": kelvin,
+        "lights": setup_content(LightSetup(outside.lights))["lights"],
+        "lumen": outside.lumen,
+        "kelvin": outside.kelvin,
+        "lux": outside.lux,
         "said": describe_daylight(message.plan, renderer.up),
     }
 

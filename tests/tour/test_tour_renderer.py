@@ -29,7 +29,6 @@ from hyjax.scene.scene import Scene
 from hyjax.tour import arrangement as arrangement_module
 from hyjax.tour.arrangement import Arrangement
 from hyjax.tour.layers import Caches, RenderCancelled, mebibytes
-from hyjax.tour.lighting import setup_of
 from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import Piece, TourPlan, Window
 from hyjax.tour.renderer import Renderer
@@ -81,7 +80,7 @@ def test_a_picture_is_the_relighters(plan: TourPlan, tmp_path: Path, name: str) 
     renderer = Renderer(scene, keep_photo_light=kept, configuration=configuration)
     rendered = renderer.render(plan, Viewpoint(0, "relit", configuration.schedule))
     file = tmp_path / "lights.json"
-    write_lights(file, setup_of(plan, UP, renderer.surface_area))
+    write_lights(file, renderer.lighting.setup(plan))
     if kept:
         configuration = configuration.with_choices({"photo_light": "kept"})
     relit = Relighter(scene, file, configuration).relit(0)
@@ -95,7 +94,7 @@ def test_an_arrangement_is_a_place(plan: TourPlan) -> None:
     """With a piece that was moved: without the tour's shader, a relighter makes the same picture of it."""
     renderer = Renderer(Scene(BoxCapture(), box_room()), keep_photo_light=True)
     piece = replace(seed_of(renderer, plan), pose=moved((0.0, -0.6, 0.0), 20.0))
-    there, setup = replace(plan, pieces=(piece,)), setup_of(plan, UP, renderer.surface_area)
+    there, setup = replace(plan, pieces=(piece,)), renderer.lighting.setup(plan)
     place = Arrangement(renderer.scene, there, Caches(), None, renderer.configuration)
     relit = Relighter(place, setup, renderer.configuration).relit(renderer.frame(0))
     np.testing.assert_allclose(renderer.render(there, VIEW).linear, relit.image, rtol=2e-4, atol=2e-5)
@@ -256,5 +255,5 @@ def test_the_first_plan_has_the_rooms_windows(room: RoomCapture) -> None:
     plan = renderer.first_plan()
     assert len(plan.windows) == sum(name.startswith("window") for name in room.anchors)
     assert plan.sky().direct > 1000
-    lights = setup_of(plan, room.up, renderer.surface_area).lights
+    lights = renderer.lighting.setup(plan).lights
     assert any(isinstance(light, DirectionalLight) for light in lights)

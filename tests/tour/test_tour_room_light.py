@@ -23,7 +23,6 @@ from hyjax.tour import arrangement as arrangement_module
 from hyjax.tour.arrangement import Arrangement
 from hyjax.tour.furniture import merge_gbuffers
 from hyjax.tour.kept_plan import KeptPlan
-from hyjax.tour.lighting import setup_of
 from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import Piece, TourPlan
 from hyjax.tour.renderer import Renderer
@@ -107,7 +106,7 @@ def replace_frame(viewpoint: Viewpoint, frame: int) -> Viewpoint:
 
 def bounces(renderer: Renderer, plan: TourPlan) -> np.ndarray:
     """Bounces of the lamps of a plan, which no ambient light fills up."""
-    setup = setup_of(plan, UP, renderer.surface_area)
+    setup = renderer.lighting.setup(plan)
     lamps = [light for light in setup.lights if not light.UNIFORM]
     place = Arrangement(renderer.scene, plan, renderer._caches, renderer.photo_light, renderer.configuration)
     return np.asarray(place.surface_light(lamps).bounced)

@@ -116,11 +116,10 @@ export class LightList {
   get exposure() {
     const { row, page } = this;
     if (!row) return this.reference;
-    const { adaptation, walls, surface_area: area } = page.sun;
-    const usual = page.default_reference_lux ** (1 - adaptation);
-    const outside = 0.5 * (row.reference_lux / usual) ** (1 / adaptation);
+    const { adaptation, walls, surface_area: area, least_ambient: least } = page.sun;
     const lumen = this.shown.reduce((sum, item) => sum + (item.on ? item.entry.luminous_flux : 0), 0);
-    return (2 * (outside + (walls * lumen) / (area * (1 - walls)))) ** adaptation * usual;
+    const lux = Math.max(row.lux + (2 * walls * lumen) / (area * (1 - walls)), 2 * least);
+    return Math.max(lux, lux ** adaptation * page.default_reference_lux ** (1 - adaptation));
   }
 
   /** As the renderer takes it. */

@@ -6,6 +6,7 @@ import { balanced, fileEntry, lampEntry, planLamp } from "./plan.js";
 const NAMES = { bulb: "Bulb", spot: "Spot", candle: "Candle", strip: "Strip" };
 const USUAL = 2700; // kelvin by which a lamp counts that was given a colour
 const OUTSIDE = ["hour", "day", "latitude", "north", "weather", "windows"];
+const DARK = { lights: [], lumen: 0, kelvin: USUAL, lux: 0 };
 const UNREFINED = { schedule: "", kappa: 0, steps: 1 };
 
 export class TourLights extends LightList {
@@ -65,7 +66,7 @@ export class TourLights extends LightList {
 
   /** Light from outside, as the server has found it. */
   get row() {
-    return this.outside ?? null;
+    return this.outside ?? DARK;
   }
 
   /** What the light from outside depends on. */
@@ -83,20 +84,15 @@ export class TourLights extends LightList {
     return [...super.activeEntries().map(fileEntry), { kind: "ambient", illuminance, color }];
   }
 
-  /** Light that the room throws back, of everything that is on: `hyjax.tour.lighting.lights_of`. */
+  /** Light that the room throws back, of everything that is on: `hyjax.tour.lighting.Lighting`. */
   get ambient() {
     const { walls, surface_area: area, least_ambient: least } = this.page.sun;
     const flux = this.items.filter(({ on, entry }) => on && entry.luminous_flux > 0)
       .map(({ entry }) => [entry.luminous_flux, entry.temperature ?? USUAL]);
-    if (this.outside) flux.push([this.outside.lumen, this.outside.kelvin]);
+    flux.push([this.row.lumen, this.row.kelvin]);
     const total = flux.reduce((sum, [lumen]) => sum + lumen, 0);
     const kelvin = total > 0 ? flux.reduce((sum, [lumen, k]) => sum + lumen * k, 0) / total : 4000;
     return { illuminance: Math.max((walls * total) / (area * (1 - walls)), least), color: balanced(kelvin) };
-  }
-
-  get exposure() {
-    const { adaptation } = this.page.sun;
-    return (2 * this.ambient.illuminance) ** adaptation * this.page.default_reference_lux ** (1 - adaptation);
   }
 
   /** Whether only the server can make the picture: of moved furniture, or with another diffusion. */
