@@ -124,6 +124,10 @@ class Arrangement:
         """Surface points of all parts that a camera sees."""
         return self._seen(camera, self.parts)
 
+    def scanned(self, camera: Camera) -> GBuffer:
+        """Surface points that a camera saw before the plan moved anything."""
+        return self._seen(camera, self._scene.apply(TourPlan()))
+
     def lights(
         self, lights: LightSetup | Sequence[Light] | str | Path, *, at_photo_sources: bool = False
     ) -> LightSetup:
@@ -303,9 +307,7 @@ class Arrangement:
     ) -> PhotographedFrame:
         """Light of a frame when it was photographed."""
         sampling = self._sampling
-        gbuffer = self._seen(
-            scaled(camera, self._configuration.scale_of(camera.intrinsics.shape)), self._scene.apply(TourPlan())
-        )
+        gbuffer = self.scanned(scaled(camera, self._configuration.scale_of(camera.intrinsics.shape)))
         samples = run_kept(sample_pixels, gbuffer, sampling=sampling)
         hit = samples.hit[..., None]
         photo_light = jnp.where(hit, on_pixels(light.photo_light, light.faces, samples), 1.0)

@@ -12,7 +12,7 @@ from jaxtyping import ArrayLike, Float
 from hyjax.geometry.mesh import load_mesh, submesh
 from hyjax.geometry.raycast import RayCaster
 from hyjax.scene.occluders import complete
-from hyjax.tour.furniture import Part, cast_parts, piece_at
+from hyjax.tour.furniture import Part, Plane, cast_parts, piece_at, shell_planes
 from hyjax.tour.plan import Piece, TourPlan
 from hyjax.util.errors import InputError
 from hyjax.util.lru_cache import LruCache
@@ -94,6 +94,11 @@ class EditableScene:
         self.caster, self.mesh, self.up, self._folder = caster, caster.mesh, up, folder
         self._occluders, self._slack = occluders, slack
         self._parts = LruCache(max(PARTS_MIB, 4 * mebibytes(caster)), mebibytes)
+
+    @functools.cached_property
+    def planes(self) -> list[Plane]:
+        """Planes of floor, ceiling and outer walls, as they were scanned."""
+        return shell_planes(self.mesh, self.up)
 
     def apply(self, plan: TourPlan) -> SceneParts:
         """The parts that a plan makes of it."""

@@ -30,6 +30,21 @@ BOX_REACH = 0.7
 """Metres from the point to the sides of that box."""
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Plane:
+    """Plane of a floor, a ceiling or an outer wall.
+
+    Attributes:
+        normal: unit, into the room.
+        place: along it.
+        outer: place that surface of it does not exceed by more than `SHELL_THICKNESS`.
+    """
+
+    normal: Float[np.ndarray, "3"]
+    place: float
+    outer: float
+
+
 def piece_at(
     mesh: trimesh.Trimesh, point: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, "m"] | None:
@@ -55,8 +70,16 @@ def piece_at(
 
 def shell(mesh: trimesh.Trimesh, up: Float[np.ndarray, "3"]) -> Bool[np.ndarray, "m"]:
     """The faces of floor, ceiling and outer walls, for a room whose walls meet at right angles."""
+    centres, found = mesh.triangles_center, np.zeros(len(mesh.faces), bool)
+    for plane in shell_planes(mesh, up):
+        found |= centres @ plane.normal - plane.outer < SHELL_THICKNESS
+    return found
+
+
+def shell_planes(mesh: trimesh.Trimesh, up: Float[np.ndarray, "3"]) -> list[Plane]:
+    """Planes of floor, ceiling and outer walls; not all are always known."""
     normals, areas, centres = mesh.face_normals, mesh.area_faces, mesh.triangles_center
-    found = np.zeros(len(mesh.faces), bool)
+    planes = []
     for axis in _axes(normals, areas, np.asarray(up, float)):
         height = centres @ axis
         across = np.abs(normals @ axis) > 0.9
@@ -67,12 +90,13 @@ def shell(mesh: trimesh.Trimesh, up: Float[np.ndarray, "3"]) -> Bool[np.ndarray,
         )
         weight, _ = np.histogram(height[across], bins, weights=areas[across])
         strong = np.flatnonzero(weight > 0.25 * weight.max())
-        for outer, sign in ((bins[strong[0]] + SHELL_THICKNESS, 1.0), (bins[strong[-1]], -1.0)):
-            inwards = sign * (height - outer)
+        for first, edge, inward in ((strong[0], strong[0] + 1, axis), (strong[-1], strong[-1], -axis)):
+            own = across & (height >= bins[first]) & (height < bins[first + 1])
+            place, outer = np.average(centres[own], 0, areas[own]) @ inward, bins[edge] * (inward @ axis)
             # A scan without its ceiling has tables for its highest planes; beyond walls there is next to nothing.
-            if areas[inwards < -2 * SHELL_THICKNESS].sum() < OUTSIDE_SHARE * areas.sum():
-                found |= inwards < SHELL_THICKNESS
-    return found
+            if areas[centres @ inward - outer < -2 * SHELL_THICKNESS].sum() < OUTSIDE_SHARE * areas.sum():
+                planes.append(Plane(inward, float(place), float(outer)))
+    return planes
 
 
 def _axes(

@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,11 +13,19 @@ from PIL import Image
 from hyjax.core.diffusion import conductance
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
-from hyjax.light.color import to_display, to_linear
+from hyjax.light.color import luminance, to_display, to_linear
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.relit import Relit
+from hyjax.light.shaded import Shaded
 from hyjax.scene.relighter import LitFrame
 from hyjax.tour.viewpoint import Shown
+
+
+class Reach(NamedTuple):
+    """Share of a lamp in the light of a picture without shadows, and the share of it that shadows leave."""
+
+    share: float
+    visible: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,6 +38,8 @@ class RenderedFrame:
         frame: the frame of the capture.
         milliseconds: by stage.
         draft: whether shadows are still coarse.
+        unseen: whether some is grey that moved furniture has uncovered, as no photo shows it.
+        reach: of each lamp of the plan; None for those that give no light.
     """
 
     picture: UInt8[np.ndarray, "h w 3"]
@@ -36,6 +47,8 @@ class RenderedFrame:
     frame: Frame
     milliseconds: dict[str, float]
     draft: bool
+    unseen: bool = False
+    reach: tuple[Reach | None, ...] = ()
 
 
 JPEG_QUALITY = 90
@@ -78,6 +91,16 @@ def surface_stage(shown: Shown, seen: GBuffer) -> Float[Array, "h w 3"]:
     normals = 0.5 + 0.5 * seen.normal
     depth = jnp.broadcast_to(jnp.exp(-0.3 * seen.depth)[..., None], normals.shape)
     return jnp.where(seen.hit[..., None], normals if shown == "normals" else depth, 0.0)
+
+
+@jax.jit
+def reach_of(shaded: Shaded) -> Float[Array, "2 l"]:
+    """`Reach` of each light."""
+    lux = jnp.sum(shaded.illuminance, axis=(0, 1))
+    visible = jnp.sum(shaded.illuminance * shaded.visibility, axis=(0, 1)) / jnp.maximum(lux, 1e-9)
+    own = lux * luminance(shaded.colors)
+    indirect = 0.0 if shaded.bounced is None else jnp.sum(luminance(shaded.bounced))
+    return jnp.stack([own / jnp.maximum(jnp.sum(own) + indirect, 1e-9), visible])
 
 
 @jax.jit

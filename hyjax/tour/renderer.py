@@ -36,9 +36,25 @@ from hyjax.tour.editable_scene import EditableScene
 from hyjax.tour.furniture import merge_gbuffers
 from hyjax.tour.layers import Caches, KeptGuide
 from hyjax.tour.lighting import Lighting, flicker
-from hyjax.tour.picture import COMPARED_STAGES, RenderedFrame, shown_stage, surface_stage, to_bytes
+from hyjax.tour.picture import (
+    COMPARED_STAGES,
+    Reach,
+    RenderedFrame,
+    reach_of,
+    shown_stage,
+    surface_stage,
+    to_bytes,
+)
 from hyjax.tour.placement import as_point, north_for_bearing, place_lamp
 from hyjax.tour.plan import LampKind, TourPlan, Window
+from hyjax.tour.uncovered import (
+    GREY,
+    Source,
+    extend_planes,
+    scanned_points,
+    seen_elsewhere,
+    uncovered_pixels,
+)
 from hyjax.tour.viewpoint import Shown, Viewpoint
 from hyjax.util.clock import StageClock
 
@@ -47,6 +63,8 @@ if TYPE_CHECKING:
 
 ALBEDO = 0.6
 """Of a mesh whose true colours are unknown."""
+LEAST_UNSEEN = 0.02
+"""Share of what furniture uncovers, that no photo shows, from which it is said."""
 AFTERNOON, BEARING = 16.0, 240.0
 EXPOSED_FRAMES = 8
 """Frames that see the surface for which plans are exposed."""
@@ -199,6 +217,10 @@ class Renderer:
         stages = relighter.stages(frame, view=view)
         lit: LitFrame = clock.follow(stages, until="guide")
         result = clock.follow(stages, until=None if viewpoint.shown in COMPARED_STAGES else "composite")
+        unseen = False
+        if plan.pieces and not isinstance(result, Relit):
+            with clock("uncovered"):
+                result, unseen = self._uncover(result, own, setup, configuration, frame, index)
         with clock("show"):
             linear = np.asarray(result.image if isinstance(result, Relit) else result)
             if viewpoint.shown == "photo":
@@ -206,7 +228,45 @@ class Renderer:
             else:
                 picture = shown_stage(viewpoint.shown, frame, lit, result, viewpoint.schedule)
         times = {stage: 1e3 * values[-1] for stage, values in clock.seconds.items()}
-        return RenderedFrame(picture, linear, frame, times, own.coarse)
+        return RenderedFrame(picture, linear, frame, times, own.coarse, unseen, self._reach(plan, lit.shaded))
+
+    def _reach(self, plan: TourPlan, shaded: Shaded) -> tuple[Reach | None, ...]:
+        """Reach of each lamp."""
+        if not plan.lamps:
+            return ()
+        outside = len(self.lighting.outside(plan).lights)
+        found = iter(np.asarray(reach_of(shaded)).T[outside:].tolist())  # those that are on follow in their order
+        return tuple(Reach(*next(found)) if lamp.on and lamp.lumen > 0 else None for lamp in plan.lamps)
+
+    def _uncover(
+        self,
+        relit: Float[Array, "h w 3"],
+        own: Arrangement,
+        setup: LightSetup,
+        configuration: Configuration,
+        frame: Frame,
+        index: int,
+    ) -> tuple[Float[Array, "h w 3"], bool]:
+        """Relit picture where what the photo does not show is drawn, and whether some of that was never seen."""
+        camera, caster = frame.camera, self.scene.caster
+        now = own.gbuffer(camera)
+        chosen = uncovered_pixels(now, own.scanned(camera))
+        now = extend_planes(now, chosen, camera, self.scene.planes)
+        chosen &= np.asarray(now.hit)
+        if not chosen.any():
+            return relit, False
+        light = configured_light(own.surface_light(setup), configuration) if self.photo_light is not None else None
+        color, seen = seen_elsewhere(
+            *scanned_points(now, chosen, caster),
+            [self.view_camera(number) for number in range(len(self.capture))],
+            lambda number: self._caches.frames(("source", number), lambda: Source.of(self.frame(number), caster)),
+        )
+        divisor = 1.0 if light is None else np.asarray(on_pixels(light.photo_light, light.faces, now))[chosen]
+        reflectance = np.zeros((*chosen.shape, 3), np.float32)
+        reflectance[chosen] = np.where(seen[:, None], color / divisor, GREY)
+        shaded = own.shade_samples(now, setup, light)
+        lit = _lit(shaded, jnp.asarray(reflectance), setup.reference_lux)
+        return jnp.where(jnp.asarray(chosen)[..., None], lit, relit), bool((~seen).mean() > LEAST_UNSEEN)
 
     def _free(
         self, plan: TourPlan, camera: Camera, shown: Shown, draft: bool, cancelled: Callable[[], bool]

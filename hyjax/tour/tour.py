@@ -206,6 +206,8 @@ class Tour:
         head = {
             "picture": message.number,
             "draft": rendered.draft,
+            "unseen": rendered.unseen,
+            "reach": [lamp and lamp._asdict() for lamp in rendered.reach],
             "milliseconds": rendered.milliseconds | {"whole picture": 1e3 * (time.perf_counter() - begun)},
         }
         visitor.show(packed(head, jpeg(rendered.picture)))

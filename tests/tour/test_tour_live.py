@@ -71,12 +71,15 @@ def test_pictures_follow_the_surface(tmp_path: Path) -> None:
     capture.append(after[-1])
     second = renderer.render(PLAN, view, draft=True)
     assert second.draft, "the surface has changed"
-    np.testing.assert_array_equal(
-        renderer.render(PLAN, view).picture, LiveRenderer(scene, capture).render(PLAN, view).picture
-    )
+    other = LiveRenderer(scene, capture)
+    assert other.lighting is not renderer.lighting, "exposed for as many frames as there are"
+    other.lighting = renderer.lighting
+    np.testing.assert_array_equal(renderer.render(PLAN, view).picture, other.render(PLAN, view).picture)
     assert np.abs(second.picture.astype(int) - fine.picture).max() > 50, "the box has gone"
     newest = renderer.render(replace(PLAN, exposure=1.0), Viewpoint(1, "relit", PAPER))
     assert newest.frame.name == after[-1].name
+    renderer.follow()
+    assert renderer.lighting is not other.lighting, "twice as many frames: exposed anew"
     renderer.forget_frames()
     assert renderer.render(PLAN, view).picture.shape == second.picture.shape
 

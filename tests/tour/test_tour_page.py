@@ -133,6 +133,24 @@ def test_windows_furniture_stages_and_flight(page: Page) -> None:
 
 
 @pytest.mark.slow
+def test_a_lamp_that_changes_nothing_says_why_and_grey_is_told(page: Page) -> None:
+    page.page.get_by_label("Kind").select_option("candle")
+    page.press("Add a lamp")
+    page.page.mouse.click(*page.place(0.5, 0.75))
+    page.page.locator("#notice", has_text="Candle changes nothing here: it adds less than 1 %").wait_for()
+    assert "less than 1 %" in page.page.inner_text(".why")
+    page.page.get_by_label("Candle is on").uncheck()
+    page.page.locator(".why", has_text="it is switched off").wait_for()
+    page.press("Start over")
+    page.press("Pick a piece")
+    page.page.mouse.click(*page.place(0.9, 0.8))
+    until(lambda: page.plan["pieces"])
+    page.page.get_by_label("Taken away").check()
+    page.page.locator("#notice", has_text="No photo shows what is grey here").wait_for()
+    page.press("Put back")
+
+
+@pytest.mark.slow
 def test_downloads_of_the_page(page: Page, tmp_path: Path) -> None:
     with page.page.expect_download() as download:
         page.press("Lights file")

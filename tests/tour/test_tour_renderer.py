@@ -107,6 +107,21 @@ def test_the_hour_changes_the_picture_and_a_lamp_lights_it(renderer: Renderer, p
     assert np.abs(day - dark).max() > 0.05 and np.abs(lamp - dark).max() > 0.05
 
 
+def test_a_picture_tells_how_far_each_lamp_reaches(renderer: Renderer, plan: TourPlan) -> None:
+    """One that lights the room, one that is off, a dim one, and one in the cube, which nothing sees."""
+    (lamp,) = plan.lamps
+    lamps = lamp, replace(lamp, on=False), replace(lamp, lumen=0.1), replace(lamp, position=(0.5, 0.4, 0.35))
+    for stage in ("relit", "normals"):
+        own, off, dim, hidden = renderer.render(replace(plan, lamps=lamps), replace_stage(VIEW, stage)).reach
+        assert off is None and own is not None and dim is not None and hidden is not None
+        assert own.share > 0.02 and own.visible > 0.3
+        assert dim.share < 0.01 and hidden.share > 0.01 > hidden.visible
+
+
+def replace_stage(viewpoint: Viewpoint, stage: Any) -> Viewpoint:
+    return Viewpoint(viewpoint.frame, stage, viewpoint.schedule)
+
+
 @pytest.fixture
 def cast(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """What shadow maps are cast of: a part of the room, and lights."""

@@ -20,6 +20,7 @@ const made = (tag, properties = {}) => Object.assign(document.createElement(tag)
 export function connectLightRows(viewer) {
   const list = document.getElementById("lights");
   let shown = "";
+  let told = "";
 
   function draw() {
     const { lights } = viewer;
@@ -30,6 +31,15 @@ export function connectLightRows(viewer) {
       if (!lights.shown.length) list.append(made("li", { className: "kind", textContent: "No lamps" }));
     }
     for (const row of list.children) row.update?.();
+    const item = lights.find(viewer.selected);
+    const why = item?.on ? unseen(item) : "";
+    if (why && why !== told) viewer.say(why);
+    told = why;
+  }
+
+  function unseen(item) {
+    const why = viewer.whyUnseen(item);
+    return why ? `${viewer.lights.name(item)} changes nothing here: ${why}.` : "";
   }
 
   function makeRow(item) {
@@ -94,10 +104,9 @@ export function connectLightRows(viewer) {
       body.append(remove);
     }
     const why = made("p", { className: "why" });
-    why.setAttribute("role", "status");
     body.append(why);
     body.update = () => {
-      why.textContent = (item.on && viewer.whyUnseen(item)) || "";
+      why.textContent = unseen(item);
       why.hidden = !why.textContent;
       brightness.input.value = Math.cbrt(item.entry[key] / item.most);
       const { temperature } = item.entry;

@@ -10,9 +10,10 @@ export class RemoteEngine {
    * @param canvas that pictures are drawn to
    * @param page content of page.json
    * @param changed called when a finer picture of the same state has come
+   * @param say tells the visitor something
    */
-  constructor(connection, state, canvas, page, changed) {
-    Object.assign(this, { connection, state, canvas, page, changed });
+  constructor(connection, state, canvas, page, changed, say) {
+    Object.assign(this, { connection, state, canvas, page, changed, say });
     const [height, width] = page.size;
     Object.assign(canvas, { width, height });
     this.context = canvas.getContext("2d");
@@ -65,6 +66,9 @@ export class RemoteEngine {
     this.bitmap?.close();
     this.bitmap = bitmap;
     this.draft = head.draft;
+    this.reach = head.reach;
+    if (head.unseen && !this.unseen) this.say("No photo shows what is grey here.");
+    this.unseen = head.unseen;
     this.times = head.milliseconds;
     if (this.settle.length) this.settle();
     else this.changed();
@@ -94,6 +98,7 @@ export class RemoteEngine {
     viewer.milliseconds = performance.now() - begun;
     viewer.count(performance.now());
     viewer.dispatchEvent(new Event("rendered"));
+    viewer.dispatchEvent(new Event("change")); // of what is known of lamps
   }
 
   /** What `Viewer.stats` tells. */

@@ -22,7 +22,7 @@ export async function startTour(viewer, showProgress) {
   viewer.state = () => state(viewer);
   const canvas = Object.assign(document.createElement("canvas"), { id: "remote", hidden: true });
   viewer.canvas.after(canvas);
-  viewer.remote = new RemoteEngine(connection, viewer.state, canvas, page, () => viewer.change("display"));
+  viewer.remote = new RemoteEngine(connection, viewer.state, canvas, page, () => viewer.change("display"), (text) => viewer.say(text));
   connectTourPanels(viewer);
   connectHandles(viewer);
   await connection.opened;

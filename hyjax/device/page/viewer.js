@@ -101,7 +101,6 @@ export class Viewer extends EventTarget {
   }
 
   get isDirty() { return this.dirty.lights || this.dirty.camera || this.dirty.display; }
-
   async loop() {
     let last = performance.now();
     const { device } = this;
@@ -194,7 +193,8 @@ export class Viewer extends EventTarget {
   }
 
   whyUnseen(item) {
-    return whyUnseen(this.reach?.light[this.lights.numberOf(item.id)]);
+    const own = this.usesServer ? this.remote.reach?.[this.lights.items.indexOf(item)] : this.reach?.light[this.lights.numberOf(item.id)];
+    return whyUnseen(item, own, this.page.scene.bounds);
   }
 
   /** The camera with its photo; none where it flies. A frame that cannot be read leaves the one before it. */

@@ -1,0 +1,147 @@
+"""Uncovered surface: what the photo of a frame does not show once furniture has moved, from pixels of other frames.
+
+A pixel is drawn anew where the furnished room has another surface than the scanned one. Its point is followed to
+where it was scanned, found in frames that saw it there, and their pixels are divided by the light that they were
+taken under. Where the scan has a hole, the planes of floor, walls and ceiling go on. What no frame saw is grey.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage
+
+from hyjax.data.capture import Frame
+from hyjax.data.frames import spread
+from hyjax.geometry.camera import Camera
+from hyjax.geometry.raycast import RayCaster
+from hyjax.light.color import to_linear
+from hyjax.light.gbuffer import GBuffer
+from hyjax.tour.furniture import Plane
+
+GREY = 0.18
+"""Linear value, under the light of the photo, of what no frame saw."""
+LEAST_STEP = 0.02
+"""Metres between surfaces in a pixel from which they are two."""
+MARGIN = 1 / 200
+"""Width, over that of the picture, of the rim that is drawn anew, too: edges of photo and scan differ."""
+LOOKED_AT, MOST_FRAMES = 24, 6
+"""Frames that are looked at, and the most of them that pixels are taken of."""
+SLACK, OFFSET = 1.03, 0.03
+"""Factor on the depth of a pixel, and metres, within which it shows a point."""
+STEP = 0.1
+"""Share of its depth by which a neighbour of a pixel is nearer from which it may show that, too."""
+
+
+def uncovered_pixels(now: GBuffer, scanned: GBuffer) -> Bool[np.ndarray, "h w"]:
+    """Pixels that show another surface than when the room was scanned, with a rim."""
+    hit, was_hit = np.asarray(now.hit), np.asarray(scanned.hit)
+    face, step = np.asarray(now.face), np.abs(np.asarray(now.depth) - np.asarray(scanned.depth))
+    changed = (hit != was_hit) | (hit & ((face < 0) | ((face != np.asarray(scanned.face)) & (step > LEAST_STEP))))
+    return ndimage.binary_dilation(changed, iterations=max(1, round(MARGIN * changed.shape[1])))
+
+
+def extend_planes(
+    now: GBuffer,
+    chosen: Bool[np.ndarray, "h w"],
+    camera: Camera,
+    planes: Sequence[Plane],
+) -> GBuffer:
+    """Surface whose holes, where they are chosen, show the nearest of some planes.
+
+    Args:
+        now: surface of the room.
+        chosen: pixels.
+        camera: that sees it.
+        planes: of the room.
+    """
+    holes = chosen & ~np.asarray(now.hit)
+    if not planes or not holes.any():
+        return now
+    normals, places = np.array([plane.normal for plane in planes]), np.array([plane.place for plane in planes])
+    rays = camera.rays()[holes]
+    toward = rays @ normals.T
+    with np.errstate(divide="ignore"):
+        depth = np.where(toward < 0, (places - normals @ camera.origin) / toward, np.inf)
+    depth = np.where(depth > 0, depth, np.inf)
+    first = depth.argmin(axis=1)
+    nearest = depth.min(axis=1)
+    met = np.isfinite(nearest)
+    holes[holes] = met
+    arrays = {name: np.array(getattr(now, name)) for name in ("position", "normal", "depth", "hit")}
+    arrays["position"][holes] = camera.origin + nearest[met, None] * rays[met]
+    arrays["normal"][holes], arrays["depth"][holes] = normals[first[met]], nearest[met]
+    arrays["hit"] |= holes
+    return dataclasses.replace(now, **jax.device_put(arrays))
+
+
+def scanned_points(
+    now: GBuffer, chosen: Bool[np.ndarray, "h w"], caster: RayCaster
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Points of chosen pixels, with their normals, where they were when the room was scanned."""
+    face, weights = np.asarray(now.face)[chosen], np.asarray(now.barycentric, float)[chosen]
+    points, normals = (np.asarray(array, float)[chosen] for array in (now.position, now.normal))
+    of_scan = face >= 0
+    corners = np.asarray(caster.arrays.faces)[face[of_scan]]
+    points[of_scan] = np.einsum("nk,nkc->nc", weights[of_scan], np.asarray(caster.arrays.vertices, float)[corners])
+    normals[of_scan] = np.asarray(caster.arrays.face_normals, float)[face[of_scan]]
+    return points, normals
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Source:
+    """A frame as pixels are taken of it: linear colours, and the depth up to which a pixel shows what is there."""
+
+    picture: Float[np.ndarray, "h w 3"]
+    depth: Float[np.ndarray, "h w"]
+
+    @classmethod
+    def of(cls, frame: Frame, caster: RayCaster) -> "Source":
+        """Source of a frame that shows a scan; where the scan has a step, the nearer side takes a rim."""
+        seen = caster.gbuffer(frame.camera)
+        depth = np.where(np.asarray(seen.hit), np.asarray(seen.depth), np.inf)
+        nearest = ndimage.minimum_filter(depth, 1 + 2 * max(1, round(MARGIN * depth.shape[1])))
+        own = np.where(nearest < (1.0 - STEP) * depth, nearest, depth)
+        return cls(np.asarray(to_linear(jnp.asarray(frame.image))), SLACK * own + OFFSET)
+
+
+def seen_elsewhere(
+    points: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    cameras: Sequence[Camera],
+    source: Callable[[int], Source],
+) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, "n"]]:
+    """Linear colours of points of the scan in the frames that see them best, and whether any does.
+
+    Args:
+        points, normals: of the scan; normals may face either way.
+        cameras: of the frames.
+        source: a frame by its number.
+    """
+    total, weight = np.zeros((len(points), 3)), np.zeros(len(points))
+    views = {}
+    for number in spread(range(len(cameras)), LOOKED_AT):
+        camera = cameras[number]
+        pixels, depth = camera.project(points)
+        far = np.array(camera.intrinsics.shape[::-1]) - 0.5
+        inside = (depth > 0) & ((pixels > 0.5) & (pixels < far)).all(axis=1)
+        to = camera.origin - points
+        distance = np.maximum(np.linalg.norm(to, axis=1), 0.1)
+        slope = np.abs(np.einsum("nk,nk->n", normals, to)) / distance
+        # To a power: the best frame rules, and the next take over gradually.
+        views[number] = pixels[:, ::-1] - 0.5, depth, np.where(inside, (slope / distance) ** 4, 0.0)
+    for number in sorted(views, key=lambda k: -float(np.sqrt(views[k][2]).sum()))[:MOST_FRAMES]:
+        places, depth, worth = views[number]
+        if not worth.any():
+            break
+        chosen, of = np.flatnonzero(worth), source(number)
+        rows, columns = np.round(places[chosen]).astype(int).T
+        chosen = chosen[depth[chosen] < of.depth[rows, columns]]
+        colors = [ndimage.map_coordinates(of.picture[..., k], places[chosen].T, order=1) for k in range(3)]
+        total[chosen] += worth[chosen, None] * np.stack(colors, axis=-1)
+        weight[chosen] += worth[chosen]
+    seen = weight > 0
+    return total / np.where(seen, weight, 1.0)[:, None], seen
