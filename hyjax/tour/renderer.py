@@ -66,6 +66,8 @@ ALBEDO = 0.6
 LEAST_UNSEEN = 0.02
 """Share of what furniture uncovers, that no photo shows, from which it is said."""
 AFTERNOON, BEARING = 16.0, 240.0
+LOOKED_AT = 24
+"""Frames that are looked at for what furniture uncovers."""
 EXPOSED_FRAMES = 8
 """Frames that see the surface for which plans are exposed."""
 
@@ -258,7 +260,7 @@ class Renderer:
         light = configured_light(own.surface_light(setup), configuration) if self.photo_light is not None else None
         color, seen = seen_elsewhere(
             *scanned_points(now, chosen, caster),
-            [self.view_camera(number) for number in range(len(self.capture))],
+            {k: self.view_camera(k) for k in {index, *spread(range(len(self.capture)), LOOKED_AT)}},
             lambda number: self._caches.frames(("source", number), lambda: Source.of(self.frame(number), caster)),
         )
         divisor = 1.0 if light is None else np.asarray(on_pixels(light.photo_light, light.faces, now))[chosen]

@@ -6,7 +6,7 @@ taken under. Where the scan has a hole, the planes of floor, walls and ceiling g
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from hyjax.data.capture import Frame
-from hyjax.data.frames import spread
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_linear
@@ -28,8 +27,8 @@ LEAST_STEP = 0.02
 """Metres between surfaces in a pixel from which they are two."""
 MARGIN = 1 / 200
 """Width, over that of the picture, of the rim that is drawn anew, too: edges of photo and scan differ."""
-LOOKED_AT, MOST_FRAMES = 24, 6
-"""Frames that are looked at, and the most of them that pixels are taken of."""
+MOST_FRAMES = 6
+"""Most frames that pixels are taken of."""
 SLACK, OFFSET = 1.03, 0.03
 """Factor on the depth of a pixel, and metres, within which it shows a point."""
 STEP = 0.1
@@ -111,20 +110,19 @@ class Source:
 def seen_elsewhere(
     points: Float[np.ndarray, "n 3"],
     normals: Float[np.ndarray, "n 3"],
-    cameras: Sequence[Camera],
+    cameras: Mapping[int, Camera],
     source: Callable[[int], Source],
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, "n"]]:
     """Linear colours of points of the scan in the frames that see them best, and whether any does.
 
     Args:
         points, normals: of the scan; normals may face either way.
-        cameras: of the frames.
+        cameras: of frames, by their numbers.
         source: a frame by its number.
     """
     total, weight = np.zeros((len(points), 3)), np.zeros(len(points))
     views = {}
-    for number in spread(range(len(cameras)), LOOKED_AT):
-        camera = cameras[number]
+    for number, camera in cameras.items():
         pixels, depth = camera.project(points)
         far = np.array(camera.intrinsics.shape[::-1]) - 0.5
         inside = (depth > 0) & ((pixels > 0.5) & (pixels < far)).all(axis=1)
