@@ -125,6 +125,9 @@ def test_the_folder_is_complete(folder: Path) -> None:
     assert not list(folder.parent.glob(".*")), "nothing temporary is left"
     if page["sun"]:
         assert [row["hour"] for row in page["sun"]["rows"]] == [0.5 * k for k in range(48)]
+        by_day = [row for row in page["sun"]["rows"] if row["lux"] > 300]
+        suns = [(row, light) for row in by_day for light in row["lights"] if light["kind"] == "directional"]
+        assert suns and all(sun["illuminance"] < 4 * row["lux"] for row, sun in suns), "none burns out"
 
 
 @pytest.mark.slow

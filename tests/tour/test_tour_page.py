@@ -107,6 +107,10 @@ def test_windows_furniture_stages_and_flight(page: Page) -> None:
     page.drag((0.5, 0.1), (0.72, 0.4))
     until(lambda: len(page.plan["windows"]) == 2)
     drawn = page.plan["windows"][1]
+    opacity = "getComputedStyle(document.querySelector('#outline polygon:not(.selected)')).opacity"
+    assert page.page.evaluate(opacity) == "1", "the mouse is on the picture"
+    page.page.locator("#title").hover()
+    assert page.page.evaluate(opacity) == "0"
     assert apart(page.settled(), first) > 0.5
     page.page.get_by_label("Upper right corner of window 2").press("ArrowRight")
     assert page.plan["windows"][1]["width"] == pytest.approx(drawn["width"] + 0.05, abs=1e-3)
