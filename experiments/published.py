@@ -128,6 +128,7 @@ TABLES: dict[str, Published] = {
         ("frames/s", "CPU ms a frame"),
         caption="Frames of the built-in room, two cores of a virtual machine that had other work.",
     ),
+    "frame-rate-large": Published("frame_rate_large", 3),
     "frame-rate-long": Published("frame_rate_long", 3),
     "frame-rate-sampling": Published("frame_rate_sampling", 3),
     "stage-times": Published("stage_times", 0),
