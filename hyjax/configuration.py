@@ -31,11 +31,10 @@ from hyjax.util.reading import parse_json, read_text
 
 _log = logging.getLogger(__name__)
 SUFFIX = ".json"
-DEFAULT = "default"
-CUSTOM = "custom"
-"""Name of an unnamed configuration."""
+DEFAULT, CUSTOM = "default", "custom"
+"""Names of the configuration as it is made, and of one that has changed."""
 USUAL_PIXELS = 640 * 480
-"""Number of pixels of a usual frame, such as a depth camera's."""
+"""Number of pixels of a usual frame: of four, nine, … times as many, frames are relit at a half, a third, …"""
 FOLDER = Path(__file__).with_name("configurations")
 PRESETS = ("quality", "balanced", "fast")
 """Configurations that come with hyjax, chosen by `hyjax tune` over rooms of known truth."""
@@ -69,8 +68,7 @@ class Configuration:
         schedule: cascade for the shading.
         shadow_schedule: cascade for the visibility; one of no steps at all leaves the shadow pass out.
         mode: of `relight`.
-        scale: the frame is relit at its size over this, and the filter brought to full size under the frame; larger
-            frames at a smaller one, see `scale_of`.
+        scale: the frame is relit at its size over this, a large one at less; see `scale_of`.
         light: how light on the surface is computed. Its sampling is at most what the schedules allow.
         shadows: how shadows are.
         guide: what guides the diffusion.
@@ -169,17 +167,12 @@ class Configuration:
         return {name: value for name, value in found.items() if CHOICES[name].active(found)}
 
     def scale_of(self, shape: tuple[int, int]) -> int:
-        """Factor by which a frame of that height and width is relit smaller.
-
-        Frames of four, nine, … times 640 x 480 pixels are relit at a half, a third, … of their size, over `scale`:
-        light has no finer detail than the scan. The paper's form works at full size.
+        """Factor by which a frame of that height and width is smaller when it is relit: not in the paper's form.
 
         >>> [Configuration().scale_of(shape) for shape in ((512, 512), (960, 1280), (1440, 1920))]
         [1, 2, 3]
         """
-        if self.mode == "paper":
-            return self.scale
-        return self.scale * max(1, math.isqrt(shape[0] * shape[1] // USUAL_PIXELS))
+        return self.scale * (1 if self.mode == "paper" else max(1, math.isqrt(shape[0] * shape[1] // USUAL_PIXELS)))
 
     @checked_arguments
     def with_choices(self, values: Mapping[str, Any]) -> "Configuration":
@@ -245,8 +238,7 @@ class Configuration:
         Raises:
             InputError: it asks for what the renderer refuses.
         """
-        default, unknown = Configuration(), list[str]()
-        usual: dict[str, Any] = {}
+        default, unknown, usual = Configuration(), list[str](), dict[str, Any]()
         for name, choice in CHOICES.items():
             if choice.ignored_by(renderer) and choice.unfollowed is not None:
                 usual[name] = choice.unfollowed
