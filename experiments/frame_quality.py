@@ -40,8 +40,7 @@ def add_large(results: Results, room: str) -> None:
     """Add the scores and times of a room's large frames, relit smaller, as they are, and at full size."""
     bench = TruthBench(room, PHOTOS, LARGE_SIZE, 1.0)
     for setup in SETUPS:
-        # Frames of a video are relit at full size.
-        ways = {whole: Relighter(bench.scene, setup, video=whole) for whole in (False, True)}
+        ways = {whole: Relighter(bench.scene, setup, whole=whole) for whole in (False, True)}
         for index in spread(range(PHOTOS), LARGE_FRAMES):
             truth = bench.capture.truth(bench.scene.lights(setup), [index])[0]
             for whole, relighter in ways.items():

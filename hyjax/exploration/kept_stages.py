@@ -11,8 +11,8 @@ from hyjax.light.light_edges import edge_correction, own_light, sharpened, with_
 from hyjax.pipeline import refine_illuminance, refine_visibility
 from hyjax.util.programs import run_kept
 
-MOST_KEPT = 4
-"""Results that are kept: of the whole and the draft, of two configurations."""
+MOST_KEPT = 6
+"""Number of results that are kept: three of a draft, of two configurations."""
 FEW_NUMBERS = 1024
 """Most numbers of an array that is compared by its values: those of a schedule, not pictures."""
 

@@ -85,7 +85,7 @@ class Pictures:
 
     def __init__(self, scene: Scene, superseded: Callable[[], bool] = lambda: False) -> None:
         self.scene, self.fills, self._superseded = scene, False, superseded
-        self._views: dict[tuple[int, int], View] = {}
+        self._views: dict[tuple[int, int, str], View] = {}
         self._relighters: list[tuple[Lights, Any, DraftRelighter]] = []
         self._whole: tuple[Any, Lights, LightSetup, SurfaceLight] | None = None  # choices, lights, placed, surface
         self._ends: dict[tuple[str, tuple[int, ...]], tuple[int, ...]] = {}
@@ -148,7 +148,7 @@ class Pictures:
             if own is relighter and index == frame:
                 self._frames.append(self._frames.pop(place))
                 return lit
-        size = frame, configuration.scale
+        size = frame, configuration.scale, configuration.mode
         if size not in self._views:
             with clock("g-buffer"):
                 opened = self.scene.frame(frame)

@@ -147,7 +147,8 @@ def write_page(
             "sun": by_hour,
         }
         (folder / _PAGE_FILE).write_text(json.dumps(content), encoding="utf-8")
-        _write_sheet(Relighter(scene, setup, configuration.with_choices({"sampling": 1})), frames, folder)
+        own = configuration.with_choices({"sampling": 1})
+        _write_sheet(Relighter(scene, setup, own, whole=True), frames, folder)
         steps.update()
         _write_scripts(folder)
         (folder / "README.md").write_text(_readme(content), encoding="utf-8")

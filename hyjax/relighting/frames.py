@@ -128,7 +128,7 @@ def relit_frames(
     # The first alone: several at once would each compile what it compiles.
     remaining = iter(chosen)
     first = list(itertools.islice(filter(None, map(cast, remaining)), 1))
-    alone = several and bool(first) and 2 * first[0][1].hit.size > MOST_PIXELS_AT_ONCE
+    alone = several and bool(first) and 2 * first[0][0].image[..., 0].size > MOST_PIXELS_AT_ONCE
     if first:
         yield relight_frame(first.pop())
     at_once = max(len(devices), min(cores(), MOST_AT_ONCE) if several and not alone else 1)

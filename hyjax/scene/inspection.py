@@ -148,7 +148,7 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
         except InputError as error:
             return error
 
-    frames = prefetch(read, samples, threads=cores())
+    frames = prefetch(read, samples, depth=cores(), threads=cores())
     for index, frame in zip(
         samples, tqdm(frames, "reading", total=len(samples), disable=not progress, unit="frame")
     ):

@@ -114,7 +114,8 @@ class Relighter:
         guide: in the place of the configuration's.
         shadows: whether lights cast shadows.
         occluders: what throws them; the paper's form knows the bare surface alone.
-        video: whether refined light is carried from each frame to the next.
+        video: whether refined light is carried from each frame to the next, at full size.
+        whole: whether large frames are relit at full size; they are with a video or a shader.
         shader: makes the light on a view in the place of shadow maps.
         clock: takes the times of what is made once.
 
@@ -137,6 +138,7 @@ class Relighter:
         shadows: bool = True,
         occluders: Occluders = "completed",
         video: bool = False,
+        whole: bool = False,
         shader: Shader | None = None,
         clock: StageClock | None = None,
     ) -> None:
@@ -152,6 +154,7 @@ class Relighter:
         self._shadows, self._shader, self._clock = shadows, shader, clock or StageClock()
         self._occluders: Occluders = "surface" if options.mode == "paper" else occluders
         self._video = Video() if video else None
+        self._whole = whole or video or shader is not None  # refined light is carried on at full size
         self._carried = CarriedGuide(options.guide.every) if video and options.guide.every > 1 else None
         self._device: jax.Device | None = None
         self._lock = threading.Lock()
@@ -167,9 +170,14 @@ class Relighter:
         return other
 
     @checked_arguments
+    def scale(self, camera: Camera) -> int:
+        """Factor by which the frame of a camera is smaller when it is relit, see `Configuration.scale_of`."""
+        return self.configuration.scale if self._whole else self.configuration.scale_of(camera.intrinsics.shape)
+
+    @checked_arguments
     def gbuffer(self, camera: Camera, *, rays: bool = False) -> GBuffer:
         """Surface that a camera sees, at the configuration's scale; see `Scene.gbuffer`."""
-        return self.place.gbuffer(scaled(camera, self._scale(camera)), rays=rays)
+        return self.place.gbuffer(scaled(camera, self.scale(camera)), rays=rays)
 
     @checked_arguments
     def view(self, frame: int | Frame) -> View:
@@ -238,7 +246,7 @@ class Relighter:
                 yield "g-buffer", gbuffer
             view = self._view(opened, gbuffer)
             yield "view", view
-        full = self._on_device(jax.device_put(opened.image)) if self._scale(opened.camera) > 1 else None
+        full = self._on_device(jax.device_put(opened.image)) if self.scale(opened.camera) > 1 else None
         if self._shader is None:
             for stage, shaded in self._shade_stages(view):
                 yield stage, shaded
@@ -253,17 +261,11 @@ class Relighter:
 
     def _view(self, frame: Frame, gbuffer: GBuffer) -> View:
         """View at the configuration's scale."""
-        scale = self._scale(frame.camera)
+        scale = self.scale(frame.camera)
         if scale == 1:
             return self._on_device(view_of(frame, gbuffer))
         display = downsample(jax.device_put(frame.image), scale)
         return self._on_device(camera_view(display, gbuffer, scaled(frame.camera, scale)))
-
-    def _scale(self, camera: Camera) -> int:
-        """Scale of a frame; refined light is carried on, and another renderer's picture taken, at full size."""
-        if self._video is not None or self._shader is not None:
-            return self.configuration.scale
-        return self.configuration.scale_of(camera.intrinsics.shape)
 
     def _on_device(self, arrays: T) -> T:
         """Arrays on the device of this relighter, where it has one of its own."""

@@ -92,7 +92,7 @@ class TuningScene:
             return Target(picture, np.ones(picture.shape[:2], bool), True)
         view = self.accurate.view(index)
         plain = Configuration().with_choices({"sampling": 1, "photo_light": "kept"})
-        relit = Relighter(self.accurate, setup, plain, occluders="surface").relit(index)
+        relit = Relighter(self.accurate, setup, plain, occluders="surface", whole=True).relit(index)
         return Target(np.asarray(to_display(relit.unrefined)), np.asarray(view.gbuffer.hit), False)
 
 

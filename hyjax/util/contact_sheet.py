@@ -20,7 +20,7 @@ Picture = Float[np.ndarray, "h w 3"] | UInt8[np.ndarray, "h w 3"]
 
 def contact_sheet(
     rows: Sequence[tuple[str, Sequence[Picture]]], headings: Sequence[str], width: int = WIDTH
-) -> UInt8[np.ndarray, "h w 3"]:
+) -> Float[np.ndarray, "h w 3"]:
     """Compose a sheet.
 
     Args:
@@ -31,6 +31,24 @@ def contact_sheet(
     Returns:
         The sheet, display-encoded.
     """
+    return _sheet(rows, headings, width).astype(np.float32) / np.float32(255.0)
+
+
+def fitted_row(pictures: Sequence[Picture], width: int = WIDTH) -> list[UInt8[np.ndarray, "height width 3"]]:
+    """Pictures of a row at their size on the sheet, which take less memory until it is composed."""
+    first = pictures[0]
+    height = round(width * first.shape[0] / first.shape[1])
+    return [np.asarray(_fitted(picture, height, width)) for picture in pictures]
+
+
+def write_contact_sheet(path: Path, rows: Sequence[tuple[str, Sequence[Picture]]], headings: Sequence[str]) -> None:
+    """Write a `contact_sheet` into a PNG."""
+    write_png(path, _sheet(rows, headings, WIDTH))
+
+
+def _sheet(
+    rows: Sequence[tuple[str, Sequence[Picture]]], headings: Sequence[str], width: int
+) -> UInt8[np.ndarray, "h w 3"]:
     first = rows[0][1][0]
     height = round(width * first.shape[0] / first.shape[1])
     size = len(headings) * (width + GAP) + GAP, LABEL + len(rows) * (height + LABEL)
@@ -48,18 +66,6 @@ def contact_sheet(
         for i, picture in enumerate(pictures):
             sheet.paste(_fitted(picture, height, width), (GAP + i * (width + GAP), top))
     return np.asarray(sheet)
-
-
-def fitted_row(pictures: Sequence[Picture], width: int = WIDTH) -> list[UInt8[np.ndarray, "height width 3"]]:
-    """Pictures of a row at their size on the sheet, which take less memory until it is composed."""
-    first = pictures[0]
-    height = round(width * first.shape[0] / first.shape[1])
-    return [np.asarray(_fitted(picture, height, width)) for picture in pictures]
-
-
-def write_contact_sheet(path: Path, rows: Sequence[tuple[str, Sequence[Picture]]], headings: Sequence[str]) -> None:
-    """Write a `contact_sheet` into a PNG."""
-    write_png(path, contact_sheet(rows, headings))
 
 
 def _fitted(picture: Picture, height: int, width: int) -> Image.Image:

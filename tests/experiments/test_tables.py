@@ -21,6 +21,7 @@ from experiments.published import TABLES, Published
 from experiments.records import ROOT, Results
 from hyjax.util.contact_sheet import contact_sheet
 from hyjax.util.errors import InputError
+from hyjax.util.images import to_bytes
 
 REMOVED = {
     "experiment": "earlier",
@@ -169,8 +170,8 @@ def test_cells_of_a_contact_sheet_are_those_that_were_put_there(
 ) -> None:
     shades = [[np.full((24, 32, 3), 0.1 * (3 * r + c + 1), np.float32) for c in range(2)] for r in range(2)]
     sheet = contact_sheet([("", pictures) for pictures in shades], ["", ""])
-    found = cut(sheet, Cells("", tuple(rows), tuple(columns), height=240))
+    found = cut(to_bytes(sheet), Cells("", tuple(rows), tuple(columns), height=240))
     chosen = [[shades[r][c] for c in columns or range(2)] for r in rows or range(2)]
     expected = contact_sheet([("", pictures) for pictures in chosen], [""] * len(chosen[0]))
-    assert np.array_equal(found, expected)
+    assert np.array_equal(found, to_bytes(expected))
     assert stacked([found, found]).shape[0] == 2 * found.shape[0] - 20

@@ -225,5 +225,6 @@ def test_large_frames_are_relit_at_a_smaller_size(monkeypatch: pytest.MonkeyPatc
     relighter = Relighter(scene, LAMP, kept)
     assert relighter.view(0).frame.shape == (6, 8, 3)
     np.testing.assert_array_equal(relighter.relit(0).image, halved.image)
-    for whole in (Relighter(scene, LAMP, kept, video=True), Relighter(scene, LAMP, "paper")):
+    others = ({"video": True}, {"whole": True})
+    for whole in (*(Relighter(scene, LAMP, kept, **other) for other in others), Relighter(scene, LAMP, "paper")):
         assert whole.view(0).frame.shape == whole.relit(0).image.shape == (12, 16, 3)

@@ -16,7 +16,7 @@ def plain(value: float, height: int = 30, width: int = 40) -> np.ndarray:
 
 def cell(sheet: np.ndarray, row: int, column: int, height: int = 30) -> np.ndarray:
     top, left = 2 * LABEL + row * (height + LABEL), GAP + column * (WIDTH + GAP)
-    return sheet[top : top + height, left : left + WIDTH] / 255.0
+    return sheet[top : top + height, left : left + WIDTH]
 
 
 def test_each_picture_is_in_its_cell() -> None:
@@ -32,8 +32,8 @@ def test_headings_and_labels_are_written_above_the_pictures() -> None:
     sheet = contact_sheet([("000", [plain(0.5)] * 2)], ("iiii", ""), width=WIDTH)
     heading, no_heading = sheet[:LABEL, : GAP + WIDTH], sheet[:LABEL, GAP + WIDTH + 1 :]
     label = sheet[LABEL : 2 * LABEL, : GAP + WIDTH]
-    assert heading.max() > 0.6 * INK and label.max() > 0.6 * INK
-    np.testing.assert_array_equal(no_heading, BACKGROUND)
+    assert heading.max() > 0.6 * INK / 255 and label.max() > 0.6 * INK / 255
+    np.testing.assert_allclose(no_heading, BACKGROUND / 255, atol=1e-6)
     other = contact_sheet([("001", [plain(0.5)] * 2)], ("iiii", ""), width=WIDTH)[LABEL : 2 * LABEL]
     assert not np.array_equal(other[:, : GAP + WIDTH], label)
 
@@ -66,5 +66,5 @@ def test_rows_that_were_fitted_before_make_the_same_sheet() -> None:
 def test_write(tmp_path: Path) -> None:
     rows = [("x", [plain(0.25)])]
     write_contact_sheet(tmp_path / "s.png", rows, ("a",))
-    np.testing.assert_array_equal(to_bytes(read_image(tmp_path / "s.png")), contact_sheet(rows, ("a",)))
+    np.testing.assert_array_equal(to_bytes(read_image(tmp_path / "s.png")), to_bytes(contact_sheet(rows, ("a",))))
     assert [entry.name for entry in tmp_path.iterdir()] == ["s.png"]
