@@ -307,7 +307,7 @@ class Arrangement:
     ) -> PhotographedFrame:
         """Light of a frame when it was photographed."""
         sampling = self._sampling
-        gbuffer = self.scanned(scaled(camera, self._configuration.scale_of(camera.intrinsics.shape)))
+        gbuffer = self.scanned(scaled(camera, self._configuration.scale))  # a relighter with a shader works at that
         samples = run_kept(sample_pixels, gbuffer, sampling=sampling)
         hit = samples.hit[..., None]
         photo_light = jnp.where(hit, on_pixels(light.photo_light, light.faces, samples), 1.0)

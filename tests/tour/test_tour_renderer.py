@@ -92,6 +92,17 @@ def test_a_picture_is_the_relighters(plan: TourPlan, tmp_path: Path, name: str) 
     assert psnr(filter_, to_display(relit.relight_filter)) > 50.0
 
 
+def test_a_large_frame_is_lit_at_its_full_size(
+    renderer: Renderer, plan: TourPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the photo's light divided out."""
+    expected = renderer.render(plan, VIEW).linear
+    renderer.forget_frames()
+    monkeypatch.setattr("hyjax.configuration.USUAL_PIXELS", 48 * 64 // 4)
+    assert renderer.configuration.scale_of((48, 64)) == 2
+    np.testing.assert_allclose(renderer.render(plan, VIEW).linear, expected, rtol=1e-5, atol=1e-6)
+
+
 def test_an_arrangement_is_a_place(plan: TourPlan) -> None:
     """With a piece that was moved: without the tour's shader, a relighter makes the same picture of it."""
     renderer = Renderer(Scene(BoxCapture(), box_room()), keep_photo_light=True)
