@@ -18,7 +18,7 @@ from hyjax.device.program import Precision, columns_rows, shader_text
 from hyjax.geometry.camera import Camera
 from hyjax.util.images import to_bytes
 
-PAGE_FORMAT = 2
+PAGE_FORMAT = 3
 """Version of page.json. Add one whenever older scripts could not read it."""
 QUALITY = 95
 _OF_TIMING = "measure.html", "measure.js", "timing.js"

@@ -1,6 +1,6 @@
 // Content of an exported page: page.json, the arrays of scene.bin, and the frames.
 
-export const PAGE_FORMAT = 2;
+export const PAGE_FORMAT = 3;
 const TYPES = { uint16: Uint16Array, uint32: Uint32Array, float32: Float32Array };
 const KEPT_BYTES = 64e6; // of decoded frames
 const LEAST_LIGHT = 0.05; // of the photos, of its mean
