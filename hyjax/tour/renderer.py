@@ -252,7 +252,7 @@ class Renderer:
         """Relit picture where what the photo does not show is drawn, and whether some of that was never seen."""
         camera, caster = frame.camera, self.scene.caster
         now = own.gbuffer(camera)
-        chosen = uncovered_pixels(now, own.scanned(camera))
+        chosen = uncovered_pixels(now, own.scanned(camera), caster)
         now = extend_planes(now, chosen, camera, self.scene.planes)
         chosen &= np.asarray(now.hit)
         if not chosen.any():

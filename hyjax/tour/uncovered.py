@@ -24,7 +24,7 @@ from hyjax.tour.furniture import Plane
 GREY = 0.18
 """Linear value, under the light of the photo, of what no frame saw."""
 LEAST_STEP = 0.02
-"""Metres between surfaces in a pixel from which they are two."""
+"""Metres between places of the scan in a pixel from which they are two."""
 MARGIN = 1 / 200
 """Width, over that of the picture, of the rim that is drawn anew, too: edges of photo and scan differ."""
 MOST_FRAMES = 6
@@ -35,11 +35,13 @@ STEP = 0.1
 """Share of its depth by which a neighbour of a pixel is nearer from which it may show that, too."""
 
 
-def uncovered_pixels(now: GBuffer, scanned: GBuffer) -> Bool[np.ndarray, "h w"]:
-    """Pixels that show another surface than when the room was scanned, with a rim."""
+def uncovered_pixels(now: GBuffer, scanned: GBuffer, caster: RayCaster) -> Bool[np.ndarray, "h w"]:
+    """Pixels that show another place of the scan than when the room was scanned, or none of it, with a rim."""
     hit, was_hit = np.asarray(now.hit), np.asarray(scanned.hit)
-    face, step = np.asarray(now.face), np.abs(np.asarray(now.depth) - np.asarray(scanned.depth))
-    changed = (hit != was_hit) | (hit & ((face < 0) | ((face != np.asarray(scanned.face)) & (step > LEAST_STEP))))
+    of_scan = hit & was_hit & (np.asarray(now.face) >= 0)
+    changed = (hit | was_hit) & ~of_scan
+    points, _ = scanned_points(now, of_scan, caster)
+    changed[of_scan] = np.linalg.norm(points - np.asarray(scanned.position)[of_scan], axis=1) > LEAST_STEP
     return ndimage.binary_dilation(changed, iterations=max(1, round(MARGIN * changed.shape[1])))
 
 

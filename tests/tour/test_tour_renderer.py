@@ -118,7 +118,7 @@ def test_an_arrangement_is_a_place(plan: TourPlan) -> None:
 
 def photographed(place: Arrangement, camera: Camera) -> np.ndarray:
     """Pixels whose surface the photo shows where it is now."""
-    return ~uncovered_pixels(place.gbuffer(camera), place.scanned(camera))
+    return ~uncovered_pixels(place.gbuffer(camera), place.scanned(camera), place.caster)
 
 
 def test_the_hour_changes_the_picture_and_a_lamp_lights_it(renderer: Renderer, plan: TourPlan) -> None:

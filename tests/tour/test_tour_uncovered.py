@@ -1,5 +1,6 @@
 """What a photo does not show once furniture has moved: drawn from other frames; grey where none saw it."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ need("tour")
 
 from box_room import CUBE, TOP, moved
 
+from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import UP
 from hyjax.data.capture import Capture, Frame
@@ -19,9 +21,12 @@ from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_display
 from hyjax.scene.scene import Scene
+from hyjax.tour.arrangement import Arrangement
+from hyjax.tour.editable_scene import EditableScene
+from hyjax.tour.layers import Caches
 from hyjax.tour.plan import Piece, TourPlan
 from hyjax.tour.renderer import Renderer
-from hyjax.tour.uncovered import GREY
+from hyjax.tour.uncovered import GREY, uncovered_pixels
 from hyjax.tour.viewpoint import Viewpoint
 
 VIEW = Viewpoint(0, "relit", Schedule.preset("paper-50"))
@@ -111,6 +116,20 @@ def test_a_piece_is_drawn_where_it_stands_now(camera: Camera) -> None:
     red = truth[..., 0] > 5 * truth[..., 1]
     assert red.sum() > 150
     assert np.quantile(np.abs(picture - truth)[red], 0.85) < 0.08
+
+
+@pytest.mark.parametrize("by", [(0.3, 0.0, 0.0), (0.0, 0.3, 0.0)])
+def test_a_piece_that_slides_in_its_own_plane_takes_its_texture_along(by: Any) -> None:
+    """The cube's top from above: where it was and is, pixels keep their depth."""
+    camera = Camera(K, look_at(TOP + LIFT + [0.0, -0.3, 1.0], TOP + LIFT, UP))
+    scene = EditableScene(RayCaster(box_with_cube()), UP, Path())
+    there = TourPlan(hour=0.0, pieces=(replace(CUBE_PIECE, pose=moved(by)),))
+    place = Arrangement(scene, there, Caches(), None, Configuration())
+    now, was = place.gbuffer(camera), place.scanned(camera)
+    top = (np.abs(np.asarray(now.position) - (TOP + LIFT))[..., 2] < 1e-3) & np.asarray(now.hit)
+    still = top & (np.abs(np.asarray(now.depth) - np.asarray(was.depth)) < 1e-3)
+    assert still.sum() > 300
+    assert uncovered_pixels(now, was, scene.caster)[still].all()
 
 
 def test_what_no_frame_saw_is_grey_and_said() -> None:
