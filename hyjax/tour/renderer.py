@@ -4,6 +4,7 @@ The slow steps follow each other: surface → shadow maps → light on each pixe
 colour of a light change only the last.
 """
 
+import contextlib
 import dataclasses
 import functools
 from collections.abc import Callable, Generator
@@ -21,6 +22,7 @@ from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit, fit_camera, spread
 from hyjax.geometry.camera import Camera
+from hyjax.geometry.raycast import RayCaster
 from hyjax.guide.choose import configured_guide
 from hyjax.light.color import to_display
 from hyjax.light.photo_light import on_pixels
@@ -57,6 +59,7 @@ from hyjax.tour.uncovered import (
 )
 from hyjax.tour.viewpoint import Shown, Viewpoint
 from hyjax.util.clock import StageClock
+from hyjax.util.errors import InputError
 
 if TYPE_CHECKING:
     from hyjax.live.scene import LiveScene
@@ -130,8 +133,8 @@ class Renderer:
     def expose(self) -> None:
         """Expose plans for the surface as it is now."""
         photo = None if self.photo_light is None else self.photo_light.estimate.light
-        cameras = [self.captured_camera(index) for index in spread(range(len(self.capture)), EXPOSED_FRAMES)]
-        self.lighting = Lighting(self.scene.caster, cameras, self.up, photo)
+        cameras = self._cameras_of(EXPOSED_FRAMES).values()
+        self.lighting = Lighting(self.scene.caster, list(cameras) or [self.captured_camera(0)], self.up, photo)
 
     def forget_frames(self) -> None:
         """Forget all that is known of frames by their numbers, which are other ones now."""
@@ -164,6 +167,14 @@ class Renderer:
     def camera(self, index: int) -> Camera:
         """Camera of a frame at the size that is worked at."""
         return self.frame(index).camera
+
+    def _cameras_of(self, most: int, *others: int) -> dict[int, Camera]:
+        """Cameras of frames that are evenly spread, and of others; without those that cannot be read."""
+        found = {}
+        for index in {*others, *spread(range(len(self.capture)), most)}:
+            with contextlib.suppress(InputError):  # told when the frame is shown
+                found[index] = self.captured_camera(index)
+        return found
 
     def view_camera(self, index: int) -> Camera:
         """Camera of a frame at the size that is worked at; a picture is read for it only where the capture must."""
@@ -260,8 +271,8 @@ class Renderer:
         light = configured_light(own.surface_light(setup), configuration) if self.photo_light is not None else None
         color, seen = seen_elsewhere(
             *scanned_points(now, chosen, caster),
-            {k: self.view_camera(k) for k in {index, *spread(range(len(self.capture)), LOOKED_AT)}},
-            lambda number: self._caches.frames(("source", number), lambda: Source.of(self.frame(number), caster)),
+            {k: fit_camera(seen, self.place.size) for k, seen in self._cameras_of(LOOKED_AT, index).items()},
+            lambda number: self._caches.frames(("source", number), lambda: self._source(number, caster)),
         )
         divisor = 1.0 if light is None else np.asarray(on_pixels(light.photo_light, light.faces, now))[chosen]
         reflectance = np.zeros((*chosen.shape, 3), np.float32)
@@ -269,6 +280,13 @@ class Renderer:
         shaded = own.shade_samples(now, setup, light)
         lit = _lit(shaded, jnp.asarray(reflectance), setup.reference_lux)
         return jnp.where(jnp.asarray(chosen)[..., None], lit, relit), bool((~seen).mean() > LEAST_UNSEEN)
+
+    def _source(self, number: int, caster: RayCaster) -> Source | None:
+        """A frame that pixels are taken of; None if it cannot be read."""
+        try:
+            return Source.of(self.frame(number), caster)
+        except InputError:  # told when the frame is shown
+            return None
 
     def _free(
         self, plan: TourPlan, camera: Camera, shown: Shown, draft: bool, cancelled: Callable[[], bool]

@@ -113,14 +113,14 @@ def seen_elsewhere(
     points: Float[np.ndarray, "n 3"],
     normals: Float[np.ndarray, "n 3"],
     cameras: Mapping[int, Camera],
-    source: Callable[[int], Source],
+    source: Callable[[int], Source | None],
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, "n"]]:
     """Linear colours of points of the scan in the frames that see them best, and whether any does.
 
     Args:
         points, normals: of the scan; normals may face either way.
         cameras: of frames, by their numbers.
-        source: a frame by its number.
+        source: a frame by its number; None if it cannot be read, and the next is taken.
     """
     total, weight = np.zeros((len(points), 3)), np.zeros(len(points))
     views = {}
@@ -133,11 +133,15 @@ def seen_elsewhere(
         slope = np.abs(np.einsum("nk,nk->n", normals, to)) / distance
         # To a power: the best frame rules, and the next take over gradually.
         views[number] = pixels[:, ::-1] - 0.5, depth, np.where(inside, (slope / distance) ** 4, 0.0)
-    for number in sorted(views, key=lambda k: -float(np.sqrt(views[k][2]).sum()))[:MOST_FRAMES]:
+    left = MOST_FRAMES
+    for number in sorted(views, key=lambda k: -float(np.sqrt(views[k][2]).sum())):
         places, depth, worth = views[number]
-        if not worth.any():
+        if not left or not worth.any():
             break
-        chosen, of = np.flatnonzero(worth), source(number)
+        if (of := source(number)) is None:
+            continue
+        left -= 1
+        chosen = np.flatnonzero(worth)
         rows, columns = np.round(places[chosen]).astype(int).T
         chosen = chosen[depth[chosen] < of.depth[rows, columns]]
         colors = [ndimage.map_coordinates(of.picture[..., k], places[chosen].T, order=1) for k in range(3)]

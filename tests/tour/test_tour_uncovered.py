@@ -28,6 +28,7 @@ from hyjax.tour.plan import Piece, TourPlan
 from hyjax.tour.renderer import Renderer
 from hyjax.tour.uncovered import GREY, uncovered_pixels
 from hyjax.tour.viewpoint import Viewpoint
+from hyjax.util.errors import InputError
 
 VIEW = Viewpoint(0, "relit", Schedule.preset("paper-50"))
 LIFT = np.array([0.0, 0.0, 0.4])
@@ -71,13 +72,15 @@ class Painted(Capture):
     name, up, fingerprint = "painted", UP, "painted"
     eyes = (-1.2, -2.2, 1.5), (1.7, -1.0, 1.6), (-1.7, 1.5, 1.6), (1.6, 2.0, 1.8), (0.0, 2.2, 2.0)
 
-    def __init__(self, count: int = 5) -> None:
-        self.count = count
+    def __init__(self, count: int = 5, damaged: int | None = None) -> None:
+        self.count, self.damaged = count, damaged
 
     def __len__(self) -> int:
         return self.count
 
     def __getitem__(self, index: int) -> Any:
+        if index == self.damaged:
+            raise InputError("damaged")
         camera = Camera(K, look_at(np.array(self.eyes[index]), CUBE, UP))
         image = np.asarray(to_display(painted(camera).astype(np.float32)))
         return Frame(f"{index}", image, camera, float(index))
@@ -137,6 +140,19 @@ def test_what_no_frame_saw_is_grey_and_said() -> None:
     assert unseen
     grey = np.abs(picture - GREY).max(axis=-1) < 0.02
     assert grey.sum() > 150
+
+
+@pytest.mark.parametrize("cameras_known", [False, True])
+def test_damaged_frames_are_left_out(cameras_known: bool) -> None:
+    """As if there were no such frame."""
+    expected, _ = relit(GONE, count=4)
+    capture = Painted(5, damaged=4)
+    if cameras_known:
+        capture.camera = lambda index: Painted()[index].camera  # type: ignore[method-assign]
+    renderer = Renderer(Scene(capture, box_with_cube()), keep_photo_light=True)
+    picture, plain = (renderer.render(p, VIEW).linear for p in (GONE, replace(GONE, pieces=())))
+    gain = np.median(plain / painted(renderer.camera(0)), axis=(0, 1))
+    np.testing.assert_allclose(picture / gain, expected, rtol=1e-3, atol=1e-3)
 
 
 def test_planes_go_on_where_the_scan_has_a_hole(camera: Camera) -> None:
