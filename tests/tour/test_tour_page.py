@@ -27,6 +27,32 @@ from hyjax.tour.tour import Tour
 from hyjax.tour.viewpoint import Viewpoint
 
 PHONE = {"width": 390, "height": 844}
+OTHER_LAMPS = """async () => {
+  const { RemoteEngine } = await import("./remote_engine.js");
+  const connection = Object.assign(new EventTarget(), { opened: Promise.resolve(), send: () => ++number });
+  const canvas = document.createElement("div").appendChild(document.createElement("canvas"));
+  let number = 0, state = { plan: "one lamp", view: { seconds: 0 } };
+  const engine = new RemoteEngine(connection, () => state, canvas, { size: [1, 1] }, () => {}, () => {});
+  const picture = new OffscreenCanvas(1, 1);
+  picture.getContext("2d");
+  const content = await (await picture.convertToBlob({ type: "image/jpeg" })).arrayBuffer();
+  const found = [], note = () => found.push(engine.reach);
+  const run = async (reach) => {
+    const asked = engine.run();
+    note();
+    await new Promise(setTimeout);
+    await engine.take({ head: { picture: number, reach }, content });
+    await asked;
+    note();
+  };
+  await run([1]);
+  state = { ...state, view: { seconds: 1 } };
+  note();
+  state = { ...state, plan: "another lamp" };
+  note();
+  await run([2]);
+  return found;
+}"""
 
 
 @pytest.fixture(scope="module")
@@ -143,6 +169,8 @@ def test_a_lamp_that_changes_nothing_says_why_and_grey_is_told(page: Page) -> No
     page.page.mouse.click(*page.place(0.5, 0.75))
     page.page.locator("#notice", has_text="Candle changes nothing here: it adds less than 1 %").wait_for()
     assert "less than 1 %" in page.page.inner_text(".why")
+    # What is known of lamps is of no other ones: neither before they are asked for nor until their picture has come.
+    assert page.page.evaluate(OTHER_LAMPS) == [None, [1], [1], None, None, [2]]
     page.page.get_by_label("Candle is on").uncheck()
     page.page.locator(".why", has_text="it is switched off").wait_for()
     page.press("Start over")

@@ -3,6 +3,9 @@
 const WAITING = 500; // milliseconds after which the page shows that it waits
 const LATE = 180e3; // milliseconds after which a picture is given up: the first ones are compiled
 
+/** Text of a state but for the time, by which candles flicker. */
+const steady = ({ plan, view }) => JSON.stringify({ plan, view: { ...view, seconds: 0 } });
+
 export class RemoteEngine {
   /**
    * @param connection Connection
@@ -20,6 +23,8 @@ export class RemoteEngine {
     this.asked = null; // text of the last state, and number of its message
     this.number = 0;
     this.bitmap = null;
+    this.known = null; // reach of the lamps in the last picture, and the state that it is of
+    this.steady = null;
     this.times = {};
     this.pixelsGiven = null;
     connection.addEventListener("picture", ({ detail }) => this.take(detail));
@@ -37,10 +42,18 @@ export class RemoteEngine {
     return this.asked !== JSON.stringify(this.state());
   }
 
+  /** How far each lamp reaches in the picture; null unless it is of what is to be shown. */
+  get reach() {
+    return this.steady === steady(this.state()) ? this.known : null;
+  }
+
   /** Ask for a picture, and wait for it. */
   async run() {
     const state = this.state();
     this.asked = JSON.stringify(state);
+    const next = steady(state);
+    if (next !== this.steady) this.known = null; // of other lamps, or where they were
+    this.steady = next;
     await this.connection.opened;
     this.number = this.connection.send("picture", state);
     const waiting = setTimeout(() => this.canvas.parentElement.classList.add("waiting"), WAITING);
@@ -66,7 +79,7 @@ export class RemoteEngine {
     this.bitmap?.close();
     this.bitmap = bitmap;
     this.draft = head.draft;
-    this.reach = head.reach;
+    this.known = head.reach;
     if (head.unseen && !this.unseen) this.say("No photo shows what is grey here.");
     this.unseen = head.unseen;
     this.times = head.milliseconds;
