@@ -22,7 +22,6 @@ from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit, fit_camera, spread
 from hyjax.geometry.camera import Camera
-from hyjax.geometry.raycast import RayCaster
 from hyjax.guide.choose import configured_guide
 from hyjax.light.color import to_display
 from hyjax.light.photo_light import on_pixels
@@ -264,29 +263,26 @@ class Renderer:
         camera, caster = frame.camera, self.scene.caster
         now = own.gbuffer(camera)
         chosen = uncovered_pixels(now, own.scanned(camera), caster)
+        brought = np.asarray(now.hit) & (np.asarray(now.face) < 0)
         now = extend_planes(now, chosen, camera, self.scene.planes)
         chosen &= np.asarray(now.hit)
+        scanned = ~brought[chosen]
         if not chosen.any():
             return relit, False
         light = configured_light(own.surface_light(setup), configuration) if self.photo_light is not None else None
         color, seen = seen_elsewhere(
             *scanned_points(now, chosen, caster),
             {k: fit_camera(seen, self.place.size) for k, seen in self._cameras_of(LOOKED_AT, index).items()},
-            lambda number: self._caches.frames(("source", number), lambda: self._source(number, caster)),
+            lambda number: self._caches.frames(
+                ("source", number), lambda: Source.of(functools.partial(self.frame, number), caster)
+            ),
         )
         divisor = 1.0 if light is None else np.asarray(on_pixels(light.photo_light, light.faces, now))[chosen]
         reflectance = np.zeros((*chosen.shape, 3), np.float32)
-        reflectance[chosen] = np.where(seen[:, None], color / divisor, GREY)
+        reflectance[chosen] = np.where((seen & scanned)[:, None], color / divisor, GREY)
         shaded = own.shade_samples(now, setup, light)
         lit = _lit(shaded, jnp.asarray(reflectance), setup.reference_lux)
-        return jnp.where(jnp.asarray(chosen)[..., None], lit, relit), bool((~seen).mean() > LEAST_UNSEEN)
-
-    def _source(self, number: int, caster: RayCaster) -> Source | None:
-        """A frame that pixels are taken of; None if it cannot be read."""
-        try:
-            return Source.of(self.frame(number), caster)
-        except InputError:  # told when the frame is shown
-            return None
+        return jnp.where(jnp.asarray(chosen)[..., None], lit, relit), bool((~seen & scanned).mean() > LEAST_UNSEEN)
 
     def _free(
         self, plan: TourPlan, camera: Camera, shown: Shown, draft: bool, cancelled: Callable[[], bool]

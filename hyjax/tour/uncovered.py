@@ -2,7 +2,8 @@
 
 A pixel is drawn anew where the furnished room has another surface than the scanned one. Its point is followed to
 where it was scanned, found in frames that saw it there, and their pixels are divided by the light that they were
-taken under. Where the scan has a hole, the planes of floor, walls and ceiling go on. What no frame saw is grey.
+taken under. Where the scan has a hole, the planes of floor, walls and ceiling go on. What no frame saw is grey, and
+so are meshes that were brought in.
 """
 
 import dataclasses
@@ -20,6 +21,7 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_linear
 from hyjax.light.gbuffer import GBuffer
 from hyjax.tour.furniture import Plane
+from hyjax.util.errors import InputError
 
 GREY = 0.18
 """Linear value, under the light of the photo, of what no frame saw."""
@@ -100,8 +102,15 @@ class Source:
     depth: Float[np.ndarray, "h w"]
 
     @classmethod
-    def of(cls, frame: Frame, caster: RayCaster) -> "Source":
-        """Source of a frame that shows a scan; where the scan has a step, the nearer side takes a rim."""
+    def of(cls, read: Callable[[], Frame], caster: RayCaster) -> "Source | None":
+        """Source of a frame that shows a scan; None if it cannot be read.
+
+        Where the scan has a step, the nearer side takes a rim.
+        """
+        try:
+            frame = read()
+        except InputError:  # told when the frame is shown
+            return None
         seen = caster.gbuffer(frame.camera)
         depth = np.where(np.asarray(seen.hit), np.asarray(seen.depth), np.inf)
         nearest = ndimage.minimum_filter(depth, 1 + 2 * max(1, round(MARGIN * depth.shape[1])))

@@ -86,9 +86,9 @@ class Painted(Capture):
         return Frame(f"{index}", image, camera, float(index))
 
 
-def relit(plan: TourPlan, *, count: int = 5, hole: bool = False) -> tuple[np.ndarray, bool]:
+def relit(plan: TourPlan, *, count: int = 5, hole: bool = False, folder: Path = Path()) -> tuple[np.ndarray, bool]:
     """Picture over that of the untouched room, under ambient light alone; and whether some was never seen."""
-    renderer = Renderer(Scene(Painted(count), box_with_cube(hole)), keep_photo_light=True)
+    renderer = Renderer(Scene(Painted(count), box_with_cube(hole)), keep_photo_light=True, folder=folder)
     rendered, plain = (renderer.render(p, VIEW) for p in (plan, replace(plan, pieces=())))
     truth = painted(renderer.camera(0))
     gain = np.median(plain.linear / truth, axis=(0, 1))
@@ -140,6 +140,16 @@ def test_what_no_frame_saw_is_grey_and_said() -> None:
     assert unseen
     grey = np.abs(picture - GREY).max(axis=-1) < 0.02
     assert grey.sum() > 150
+
+
+def test_a_mesh_that_was_brought_in_is_grey_and_not_missed(tmp_path: Path) -> None:
+    """In front of walls that frames see."""
+    trimesh.creation.box((0.5, 0.5, 0.5)).export(tmp_path / "box.ply")
+    brought = Piece((0.0, 0.0, 0.0), pose=moved(tuple(TOP + LIFT)), file="box.ply")
+    for count in (1, 5):
+        picture, unseen = relit(TourPlan(hour=0.0, pieces=(brought,)), count=count, folder=tmp_path)
+        grey = np.abs(picture - GREY).max(axis=-1) < 0.02
+        assert grey.sum() > 60 and not unseen
 
 
 @pytest.mark.parametrize("cameras_known", [False, True])
