@@ -67,7 +67,7 @@ class Arriving:
             mean_up([frame.camera.pose for frame in early], "live") if self._up is None else self._up
         )
         capture = LiveCapture(up)
-        for frame in early[-1:]:
+        for frame in early:  # one alone may look beside the surface
             capture.append(frame)
         height, width = early[-1].camera.intrinsics.shape
         self._scene.size = self._size

@@ -20,6 +20,7 @@ from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import LampKind, TourPlan
 from hyjax.tour.renderer import Renderer
 from hyjax.tour.viewpoint import Viewpoint
+from hyjax.util.errors import InputError
 from hyjax.util.images import to_bytes
 
 MOST_KEPT_FRAMES = 240
@@ -29,6 +30,9 @@ MOST_KEPT_FRAMES = 240
 class LiveCapture(Capture):
     """Frames that have arrived, without their depth.
 
+    Attributes:
+        arrived: number of all frames that have arrived, with those that were forgotten.
+
     Args:
         up: unit vector against gravity.
         most: see `MOST_KEPT_FRAMES`.
@@ -37,11 +41,12 @@ class LiveCapture(Capture):
     name, fingerprint = "live", "live"
 
     def __init__(self, up: Float[np.ndarray, "3"], most: int = MOST_KEPT_FRAMES) -> None:
-        self.up, self._most = up, most
+        self.up, self._most, self.arrived = up, most, 0
         self._frames: list[tuple[Any, Frame]] = []
 
     def append(self, frame: Frame) -> bool:
         """Add a frame; true if others were forgotten for it, so that frames have other numbers now."""
+        self.arrived += 1
         small = to_bytes(frame.image)
         empty = np.broadcast_to(np.zeros((), np.float32), frame.image.shape)  # takes no memory
         entry = small, dataclasses.replace(frame, image=empty, depth=None, depth_intrinsics=None, confidence=None)
@@ -64,10 +69,23 @@ class LiveRenderer(Renderer):
     _exposed = 0
 
     def expose(self) -> None:
-        """Expose plans for the surface as it is now, as often as the number of frames has doubled."""
-        if len(self.capture) >= 2 * self._exposed:
-            self._exposed = len(self.capture)
+        """Expose plans for the surface as it is now, as often as twice as many frames have arrived.
+
+        While no camera sees the surface, the exposure stays as it was.
+
+        Raises:
+            InputError: no camera sees the surface, and there is no exposure.
+        """
+        assert isinstance(self.capture, LiveCapture)
+        if self.capture.arrived < 2 * self._exposed:
+            return
+        try:
             super().expose()
+        except InputError:
+            if not self._exposed:
+                raise
+        else:
+            self._exposed = self.capture.arrived
 
     def _editable(self) -> EditableScene:
         assert isinstance(self.place, LiveScene)

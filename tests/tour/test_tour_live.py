@@ -1,5 +1,6 @@
 """Live tour: capture, renderer and viewers follow frames that arrive; no browser."""
 
+import dataclasses
 import sys
 import time
 from collections.abc import Iterator
@@ -20,6 +21,7 @@ from visits import visiting
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
+from hyjax.geometry.camera import Camera, look_at
 from hyjax.live.scene import LiveScene
 from hyjax.scene.settings import SceneSettings
 from hyjax.tour.arriving import Arriving
@@ -43,6 +45,52 @@ def test_a_capture_forgets_every_second_frame_when_it_is_full() -> None:
     assert [frame.name for frame in capture] == ["0000", "0002", "0004", "0005"]
     np.testing.assert_allclose(capture[3].image, seen[5].image, atol=1 / 255)
     assert capture[3].depth is None
+
+
+@pytest.fixture(scope="module")
+def scanned() -> LiveScene:
+    scene = LiveScene(voxel=0.05)
+    for frame in frames(room(), looking(MIDDLE, 4)):
+        scene.add(frame)
+    assert scene.update() is not None
+    return scene
+
+
+def test_exposed_anew_as_often_as_twice_as_many_frames_have_arrived(scanned: LiveScene) -> None:
+    """Those that were forgotten count."""
+    frame, capture = frames(room(), looking(MIDDLE, 1))[0], LiveCapture(UP, most=2)
+    capture.append(frame)
+    renderer = LiveRenderer(scanned, capture)
+    exposed, lighting = [], renderer.lighting
+    for _ in range(8):
+        capture.append(frame)
+        renderer.follow()
+        if renderer.lighting is not lighting:
+            exposed.append(capture.arrived)
+            lighting = renderer.lighting
+    assert exposed == [2, 4, 8] and len(capture) == 2
+
+
+def test_frames_that_look_beside_the_surface_leave_the_exposure(scanned: LiveScene) -> None:
+    (frame,) = frames(room(), looking(MIDDLE, 1))
+    above = Camera(frame.camera.intrinsics, look_at(np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.1, 9.0]), UP))
+    beside, capture = dataclasses.replace(frame, camera=above), LiveCapture(UP, most=2)
+    capture.append(beside)
+    with pytest.raises(InputError, match="no camera sees"):
+        LiveRenderer(scanned, capture)
+    capture.append(frame)
+    renderer = LiveRenderer(scanned, capture)
+    lighting = renderer.lighting
+    for _ in range(6):
+        capture.append(beside)
+        renderer.forget_frames()
+        renderer.follow()
+    assert renderer.lighting is lighting
+    for _ in range(2):
+        capture.append(frame)
+    renderer.forget_frames()
+    renderer.follow()
+    assert renderer.lighting is not lighting
 
 
 @pytest.mark.slow
@@ -95,6 +143,8 @@ def test_frames_arrive_in_the_renderer() -> None:
     arriving = Arriving(LiveScene(voxel=0.05), slowly(seen), size=None, widest=80)
     told: list[int] = []
     renderer = arriving.first_renderer(Path(), Configuration())
+    first, early = renderer.capture[0].name, [frame.name for frame in arriving._early]
+    assert len(early) > 1 and first == early[0], "any one of them may look beside the surface"
     arriving.on_frame = lambda forgotten: told.append(len(renderer.capture))
     assert renderer.frame(0).image.shape == (60, 80, 3)
     assert arriving._follower.wait(60.0)
