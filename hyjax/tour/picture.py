@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, UInt8
+from jaxtyping import Array, Float, UInt8
 from PIL import Image
 
 from hyjax.core.diffusion import conductance
@@ -19,6 +19,7 @@ from hyjax.light.relit import Relit
 from hyjax.light.shaded import Shaded
 from hyjax.scene.relighter import LitFrame
 from hyjax.tour.viewpoint import Shown
+from hyjax.util.images import to_bytes
 
 
 class Reach(NamedTuple):
@@ -71,7 +72,9 @@ def shown_stage(
     if isinstance(result, Relit):
         if shown == "raw filter":  # with its shadows, as an unrefined renderer shows it
             return to_bytes(_over(result.unrefined, frame.image))
-        return to_bytes(result.visibility) if shown == "visibility" else np.asarray(_encoded(result.relight_filter))
+        if shown == "visibility":
+            return to_bytes(np.asarray(result.visibility))
+        return np.asarray(_encoded(result.relight_filter))
     if shown == "relit":
         return np.asarray(_encoded(result))
     if shown == "conductances":
@@ -125,17 +128,7 @@ def _holes(lit: LitFrame) -> Float[Array, "h w 3"]:
 
 @jax.jit
 def _encoded(picture: Float[Array, "h w 3"]) -> UInt8[Array, "h w 3"]:
-    return _quantised(to_display(picture))
-
-
-@jax.jit
-def _quantised(picture: Array) -> Array:
-    return jnp.round(jnp.clip(picture, 0.0, 1.0) * 255.0).astype(jnp.uint8)
-
-
-def to_bytes(picture: Float[ArrayLike, "*s 3"]) -> UInt8[np.ndarray, "*s 3"]:
-    """A display-encoded picture as bytes."""
-    return np.asarray(_quantised(picture))
+    return jnp.round(jnp.clip(to_display(picture), 0.0, 1.0) * 255.0).astype(jnp.uint8)
 
 
 def jpeg(picture: UInt8[np.ndarray, "h w 3"]) -> bytes:

@@ -44,7 +44,6 @@ from hyjax.tour.picture import (
     reach_of,
     shown_stage,
     surface_stage,
-    to_bytes,
 )
 from hyjax.tour.placement import as_point, north_for_bearing, place_lamp
 from hyjax.tour.plan import LampKind, TourPlan, Window
@@ -59,6 +58,7 @@ from hyjax.tour.uncovered import (
 from hyjax.tour.viewpoint import Shown, Viewpoint
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
+from hyjax.util.images import to_bytes
 
 if TYPE_CHECKING:
     from hyjax.live.scene import LiveScene
@@ -306,7 +306,7 @@ class Renderer:
             linear = np.asarray(_lit(shaded, albedo, setup.reference_lux))
         with clock("show"):
             image = np.asarray(to_display(linear))
-            picture = to_bytes(surface_stage(shown, seen) if shown in ("normals", "depth") else image)
+            picture = to_bytes(np.asarray(surface_stage(shown, seen)) if shown in ("normals", "depth") else image)
         times = {stage: 1e3 * values[-1] for stage, values in clock.seconds.items()}
         return RenderedFrame(picture, linear, Frame("free", image, camera, 0.0), times, own.coarse)
 

@@ -169,7 +169,7 @@ def test_a_lamp_that_changes_nothing_says_why_and_grey_is_told(page: Page) -> No
     page.page.mouse.click(*page.place(0.5, 0.75))
     page.page.locator("#notice", has_text="Candle changes nothing here: it adds less than 1 %").wait_for()
     assert "less than 1 %" in page.page.inner_text(".why")
-    # What is known of lamps is of no other ones: neither before they are asked for nor until their picture has come.
+    # Nothing is known of other lamps, neither before they are asked for nor until their picture has come.
     assert page.page.evaluate(OTHER_LAMPS) == [None, [1], [1], None, None, [2]]
     page.page.get_by_label("Candle is on").uncheck()
     page.page.locator(".why", has_text="it is switched off").wait_for()
