@@ -1,15 +1,15 @@
 """Configurations of the whole frame: the front of quality against time on rooms that no setting was chosen with.
 
     pip install -e ".[tune]"
-    python -m experiments.frame_tuning [--trials 48] [--budget-ms 25] [--out results/frame_tuning] [--resume]
+    python -m experiments.frame_tuning [--trials 48] [--out results/frame_tuning] [--resume]
 
 Searches all choices of a frame (`hyjax tune`) on four rooms of known truth and reports on four others. The front,
 the presets as they come with hyjax and the paper's form, as it is and tuned (`--paper-trials`), are timed in turns
 with the default configuration in one run. *Loss* is relative to the default's on the same frames.
 
 `--presets` writes what comes out as the presets, by loss on the tuning rooms, unless the present ones do better:
-`quality` is the best within half again the default's time, `balanced` the best within half of it, `fast` the
-fastest that loses no more than a twentieth. They are timed and judged once more, in turns, as they come with hyjax.
+`quality` is the best within half again the default's time, `fast` within two fifths of it, and `balanced` within
+half of it, of those that are left. They are timed and judged once more, in turns, as they come with hyjax.
 
 Takes about forty minutes on two cores, and two minutes more for each room that is not in the cache.
 
@@ -20,7 +20,7 @@ time.
 
 import dataclasses
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +47,8 @@ from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
 
 UNLIMITED_MS = 1e4
-MOST_TIME, HALF_TIME, MOST_LOSS = 1.5, 0.5, 0.05
-"""Bounds of a preset: time over the default's, that of `balanced`, and share of loss beyond the default's."""
+MOST_TIMES = {"quality": 1.5, "fast": 0.4, "balanced": 0.5}
+"""Largest time of each preset, over the default's."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -62,8 +62,6 @@ class Config(RunConfig):
     frames: int = 3
     """Of each room under each set-up."""
     trials: int = 48
-    budget_ms: tuple[float, ...] = (UNLIMITED_MS,)
-    """Milliseconds of a frame to search within."""
     paper_trials: bool = True
     """Also tune the paper's form."""
     presets: bool = False
@@ -122,7 +120,7 @@ def settings_of(
         paper_form=config.paper_trials and bool(report),
     )
     scene = TuneScene(seed=config.seed)
-    return TuneSettings(scene, frame=options, budget_ms=config.budget_ms, out=out, resume=out.exists())
+    return TuneSettings(scene, frame=options, budget_ms=(UNLIMITED_MS,), out=out, resume=out.exists())
 
 
 def described(candidate: Candidate) -> dict[str, Any]:
@@ -132,26 +130,15 @@ def described(candidate: Candidate) -> dict[str, Any]:
 
 def chosen_presets(candidates: Sequence[Row]) -> dict[str, Row]:
     """Preset → candidate, by loss on the tuning rooms and time alone."""
-    usable = [row for row in candidates if row["form"] == "hyjax" and row["name"] != DEFAULT]
-
-    def best(name: str, fit: Sequence[Row], key: Callable[[Row], float]) -> dict[str, Row]:
-        return {name: min(fit, key=key)} if fit else {}
-
-    def ratio(row: Row) -> float:
-        return row["median_ms"] / row["default_ms"]
-
-    def loss(row: Row) -> float:
-        return row["tuning"]["relative"]
-
-    quick = [row for row in usable if loss(row) <= 1.0 + MOST_LOSS]
-    fast = best("fast", quick, ratio)
-    # Two names for one configuration help nobody.
-    others = [row for row in usable if row not in fast.values()]
-    return {
-        **best("quality", [row for row in usable if ratio(row) <= MOST_TIME], loss),
-        **best("balanced", [row for row in others if ratio(row) <= HALF_TIME], loss),
-        **fast,
-    }
+    left, chosen = (
+        [row for row in candidates if row["form"] == "hyjax" and row["name"] != DEFAULT],
+        dict[str, Row](),
+    )
+    for name, most in MOST_TIMES.items():
+        if quick := [row for row in left if row["median_ms"] <= most * row["default_ms"]]:
+            chosen[name] = min(quick, key=lambda row: row["tuning"]["relative"])
+            left.remove(chosen[name])
+    return chosen
 
 
 def write_presets(candidates: Sequence[Row]) -> None:
