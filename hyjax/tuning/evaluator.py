@@ -19,6 +19,7 @@ from hyjax.tuning.schedule_clock import ScheduleClock
 from hyjax.tuning.space import Choices, Space, key_of, structure
 from hyjax.tuning.study import Study
 from hyjax.tuning.trial import Trial
+from hyjax.util.programs import forget_programs_in_time
 
 ROUNDS = 25
 """Frames that a trial is timed on, in turns with the default."""
@@ -45,6 +46,7 @@ class Evaluator(abc.ABC):
 
     def __call__(self, trial: Trial) -> Trial:
         """The trial, made better by gradients if it asks for that, with losses on its cases and a time."""
+        forget_programs_in_time()
         choices = trial.choices
         if trial.improve == "numbers":
             choices = self.refined(choices, trial.cases)

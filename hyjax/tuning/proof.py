@@ -11,6 +11,7 @@ from hyjax.tuning.evaluation import mean_scores
 from hyjax.tuning.request import Budget
 from hyjax.tuning.result import Candidate, Effect
 from hyjax.tuning.trial import Trial
+from hyjax.util.programs import forget_programs_in_time
 
 if TYPE_CHECKING:
     from hyjax.tuning.stage import Stage
@@ -44,6 +45,7 @@ def prove(
     default, found = judge.scores(stage.base, cases), []
     bar = tqdm(configurations, "judging", unit="configuration", disable=not progress, leave=False)
     for configuration, time in zip(bar, times, strict=True):
+        forget_programs_in_time()
         rows = judge.scores(configuration, cases)
         own, base = (np.log([max(row["loss"], LEAST_LOSS) for row in several]) for several in (rows, default))
         logs = own - base

@@ -39,6 +39,8 @@ MOST_BYTES = 300_000_000
 OPTION = re.compile("XLA_|JAX_(?!.*_CACHE(?:_|$))")
 """Pattern of variables that may change a program; those of JAX's own cache change none."""
 LEAST_SECONDS = "jax_persistent_cache_min_compile_time_secs"
+MOST_AREAS = 0.6
+"""Share of a process's areas of memory up to which compiled programs stay."""
 _log = logging.getLogger(__name__)
 _folder: Path | None = None
 _told = False
@@ -136,6 +138,26 @@ class KeptFunction(Generic[P, T]):
         except Exception as error:  # of JAX, for what cannot be serialised: costs time only
             _log.info("%s: not kept (%s)", file, error)
         return compiled
+
+
+def forget_programs_in_time() -> bool:
+    """Whether compiled programs were forgotten, as the system would soon refuse memory for more.
+
+    Each takes areas of memory, of which Linux allows a process some number. They are made again when they are run. To be
+    called between long steps.
+    """
+    try:
+        areas = Path("/proc/self/maps").read_bytes().count(b"\n")
+        most = int(Path("/proc/sys/vm/max_map_count").read_bytes())
+    except (OSError, ValueError):  # not on this system
+        return False
+    if areas <= MOST_AREAS * most:
+        return False
+    _log.info("compiled programs take %d of %d areas of memory, and are forgotten", areas, most)
+    with _lock:
+        _functions.clear()
+    jax.clear_caches()
+    return True
 
 
 def run_kept(function: Callable[..., Any], *arrays: Any, **static: Any) -> Any:

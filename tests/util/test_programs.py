@@ -166,3 +166,16 @@ def test_a_folder_that_cannot_be_written_costs_time_only(tmp_path: Path, monkeyp
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(programs, "_folder", tmp_path / "file")
     np.testing.assert_array_equal(KeptFunction(scaled)(jnp.ones(2), 2.0), [2.0, 2.0])
+
+
+def test_programs_are_forgotten_before_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(programs, "_folder", tmp_path)
+    before = programs.run_kept(_doubled, jnp.ones(3))
+    assert not programs.forget_programs_in_time() and programs._functions[_doubled]._ready
+    monkeypatch.setattr(programs, "MOST_AREAS", 0.0)
+    assert programs.forget_programs_in_time() and _doubled not in programs._functions
+    np.testing.assert_array_equal(programs.run_kept(_doubled, jnp.ones(3)), before)
+
+
+def _doubled(x: jax.Array) -> jax.Array:
+    return 2.0 * x
