@@ -143,8 +143,8 @@ class KeptFunction(Generic[P, T]):
 def forget_programs_in_time() -> bool:
     """Whether compiled programs were forgotten, as the system would soon refuse memory for more.
 
-    Each takes areas of memory, of which Linux allows a process some number. They are made again when they are run. To be
-    called between long steps.
+    Each takes areas of memory, of which Linux allows a process some number. They are made again when they are run.
+    To be called between long steps.
     """
     try:
         areas = Path("/proc/self/maps").read_bytes().count(b"\n")
