@@ -15,7 +15,8 @@ GAP, LABEL, FONT = 4, 20, 13
 WIDTH = 320
 """Width of a picture on a sheet, in pixels."""
 
-Picture = Float[np.ndarray, "h w 3"] | UInt8[np.ndarray, "h w 3"]
+Picture = Float[np.ndarray, "h w c"] | UInt8[np.ndarray, "h w c"]
+"""Display-encoded, of three channels or of one."""
 
 
 def contact_sheet(
@@ -69,5 +70,6 @@ def _sheet(
 
 
 def _fitted(picture: Picture, height: int, width: int) -> Image.Image:
-    image = Image.fromarray(picture if picture.dtype == np.uint8 else to_bytes(picture))
+    pixels = picture if picture.dtype == np.uint8 else to_bytes(picture)
+    image = Image.fromarray(np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3))))
     return image.resize((width, height), Image.Resampling.LANCZOS, reducing_gap=3.0)

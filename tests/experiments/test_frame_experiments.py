@@ -56,9 +56,9 @@ def test_tuning(small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     names = {row["name"] for row in rows if row["kind"] == "preset"}
     assert {"default", "quality", "balanced", "fast", "paper"} <= names
     assert any(row["kind"] == "candidate" and row["front"] for row in rows)
-    for name in ("quality", "balanced", "fast"):
-        made = json.loads((folder / f"{name}.json").read_text())
-        assert made["name"] == name and made["measured"] is None
+    made = {file.stem: json.loads(file.read_text()) for file in folder.iterdir()}
+    assert {"quality"} <= made.keys() <= {"quality", "balanced", "fast"}  # in so small a room all may take as long
+    assert all(made[name]["name"] == name and made[name]["measured"] is None for name in made)
     assert (tmp_path / "out" / "contact_sheet.png").is_file()
 
 

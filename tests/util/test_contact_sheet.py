@@ -68,3 +68,8 @@ def test_write(tmp_path: Path) -> None:
     write_contact_sheet(tmp_path / "s.png", rows, ("a",))
     np.testing.assert_array_equal(to_bytes(read_image(tmp_path / "s.png")), to_bytes(contact_sheet(rows, ("a",))))
     assert [entry.name for entry in tmp_path.iterdir()] == ["s.png"]
+
+
+def test_a_picture_of_one_channel_is_grey() -> None:
+    sheet = contact_sheet([("x", [plain(0.3), plain(0.6)[..., :1]])], ("a", "b"), width=WIDTH)
+    np.testing.assert_allclose(cell(sheet, 0, 1), 0.6, atol=0.6 / 255)
