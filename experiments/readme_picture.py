@@ -29,7 +29,7 @@ from experiments.real_scores import scores
 from experiments.records import Row, of_kind
 from hyjax.data.truth_room import load_truth_room
 from hyjax.metrics import psnr
-from hyjax.util.images import resize
+from hyjax.util.images import resize, to_bytes
 
 KEPT_PICTURE = Path(__file__).parents[1] / "docs" / "examples" / "readme.jpg"
 GAP, WIDEST = 6, 1200
@@ -85,7 +85,7 @@ def main(config: Config, start: Start) -> None:
     whole = beside_each_other(rows, config.size[0])
     hyjax.write_png(results.out / "readme.png", whole)
     if config.keep:
-        kept = Image.fromarray(np.asarray(np.clip(whole, 0, 1) * 255 + 0.5, np.uint8))
+        kept = Image.fromarray(to_bytes(whole))
         kept.thumbnail((WIDEST, WIDEST))
         kept.save(KEPT_PICTURE, quality=85, optimize=True)
 

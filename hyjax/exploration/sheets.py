@@ -11,6 +11,7 @@ from PIL import Image
 from hyjax.light.color import to_display
 from hyjax.light.relit import Relit
 from hyjax.util.contact_sheet import BACKGROUND, contact_sheet
+from hyjax.util.images import to_bytes
 
 QUALITY = 90
 """Quality of the JPEG pictures."""
@@ -48,9 +49,8 @@ def compared_sheet(first: tuple[str, Any], second: tuple[str, Any]) -> Sheet:
 
 def jpeg(display: Any) -> bytes:
     """A picture of display values as a JPEG file."""
-    pixels = np.round(255 * np.clip(np.nan_to_num(np.asarray(display, np.float32)), 0, 1)).astype(np.uint8)
     file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "JPEG", quality=QUALITY)
+    Image.fromarray(to_bytes(np.nan_to_num(np.asarray(display, np.float32)))).save(file, "JPEG", quality=QUALITY)
     return file.getvalue()
 
 

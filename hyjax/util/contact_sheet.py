@@ -9,8 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from hyjax.util.images import to_bytes, write_png
 
-BACKGROUND, INK = 23, 235
-"""Grey values of 255."""
+BACKGROUND, INK = 0.09, 0.92
 GAP, LABEL, FONT = 4, 20, 13
 WIDTH = 320
 """Width of a picture on a sheet, in pixels."""
@@ -53,11 +52,12 @@ def _sheet(
     first = rows[0][1][0]
     height = round(width * first.shape[0] / first.shape[1])
     size = len(headings) * (width + GAP) + GAP, LABEL + len(rows) * (height + LABEL)
-    sheet = Image.new("RGB", size, (BACKGROUND,) * 3)
+    paper, ink = ((round(255 * value),) * 3 for value in (BACKGROUND, INK))
+    sheet = Image.new("RGB", size, paper)
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(FONT)
 
     def text(x: int, baseline: int, line: str) -> None:
-        draw.text((x, baseline), line, (INK,) * 3, font, anchor="ls")
+        draw.text((x, baseline), line, ink, font, anchor="ls")
 
     for i, heading in enumerate(headings):
         text(GAP + i * (width + GAP), LABEL - 6, heading)

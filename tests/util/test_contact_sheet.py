@@ -32,8 +32,8 @@ def test_headings_and_labels_are_written_above_the_pictures() -> None:
     sheet = contact_sheet([("000", [plain(0.5)] * 2)], ("iiii", ""), width=WIDTH)
     heading, no_heading = sheet[:LABEL, : GAP + WIDTH], sheet[:LABEL, GAP + WIDTH + 1 :]
     label = sheet[LABEL : 2 * LABEL, : GAP + WIDTH]
-    assert heading.max() > 0.6 * INK / 255 and label.max() > 0.6 * INK / 255
-    np.testing.assert_allclose(no_heading, BACKGROUND / 255, atol=1e-6)
+    assert heading.max() > 0.6 * INK and label.max() > 0.6 * INK
+    np.testing.assert_allclose(no_heading, round(255 * BACKGROUND) / 255, atol=1e-6)
     other = contact_sheet([("001", [plain(0.5)] * 2)], ("iiii", ""), width=WIDTH)[LABEL : 2 * LABEL]
     assert not np.array_equal(other[:, : GAP + WIDTH], label)
 

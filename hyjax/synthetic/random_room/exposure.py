@@ -8,6 +8,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
 from hyjax.synthetic.tone_curve import encode, tone
+from hyjax.util.images import to_bytes
 
 
 def develop(linear: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Float[np.ndarray, "h w 3"]:
@@ -46,6 +47,6 @@ def _compressed(display: Float[np.ndarray, "h w 3"], coarseness: float) -> Float
     """Rounded by a JPEG file whose tables are `coarseness` times the usual ones."""
     quality = 50 / coarseness if coarseness > 1 else 100 - 50 * coarseness
     file = io.BytesIO()
-    picture = Image.fromarray(np.uint8(np.round(np.clip(display, 0, 1) * 255)))
+    picture = Image.fromarray(to_bytes(display))
     picture.save(file, "JPEG", quality=round(quality), subsampling=0)
     return np.asarray(Image.open(file), np.float32) / 255
