@@ -430,9 +430,7 @@ def test_side_by_side(widget: Explorer) -> None:
         assert widget.wait(120.0) and not widget.message
         widths[view] = size(widget.sheet)[0]
         sheet = np.asarray(Image.open(io.BytesIO(widget.sheet)))
-        assert (
-            30 < sheet.mean() < 225 and sheet[-1, -1].max() < 60
-        )  # neither black nor white
+        assert 30 < sheet.mean() < 225 and sheet[-1, -1].max() < 60  # neither black nor white
     assert widths == {"compare": 1096, "levels": 1096, "stages": 1460}
 
 
