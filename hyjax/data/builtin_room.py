@@ -1,4 +1,4 @@
-"""The built-in room as a capture, kept in the cache folder once it has been rendered."""
+"""The built-in room as a capture; its photographs come with the package, or are rendered once and kept."""
 
 import dataclasses
 import functools
@@ -17,9 +17,10 @@ from jaxtyping import Float, UInt8
 from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.geometry.mesh_arrays import MeshArrays
+from hyjax.geometry.raycast import RayCaster
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays, keep_arrays, read_kept
 from hyjax.util.errors import InputError
-from hyjax.util.images import to_bytes
+from hyjax.util.images import read_image, to_bytes
 
 if TYPE_CHECKING:
     import trimesh
@@ -35,6 +36,10 @@ SHORTEST_SIDE, MOST_PIXELS = 16, 1280 * 960
 """Pixels: shortest side that is rendered, and most of a picture; others are resampled from there."""
 FRAME_RATE = 2.0
 """Pictures a second: the walk takes twelve seconds."""
+SHIPPED = "room-v7-seed0-24x640x480-q1"
+"""Key of the room whose photographs come with the package: to render them takes most of a minute."""
+PHOTOGRAPHS = Path(__file__).parent / "room_photographs"
+"""Folder of lossless pictures; `HYJAX_WRITE_ROOM=1 pytest -m "" tests/synthetic/test_room.py` renders them anew."""
 
 UP = np.array([0.0, 0.0, 1.0])
 _log = logging.getLogger(__name__)
@@ -151,7 +156,7 @@ def load_room(
     quality: float = 1.0,
     wait: bool = True,
 ) -> RoomCapture:
-    """The built-in room, rendered on first use and read from the cache after that.
+    """The built-in room, shipped or rendered on first use, and read from the cache after that.
 
     Args:
         seed: varies books, colours and small placements.
@@ -213,7 +218,10 @@ class _Rendering:
 
     def _run(self, cameras: list[Camera], mesh: MeshArrays, anchors: Mapping[str, Any]) -> None:
         try:
-            shot = _rendered(self._room, cameras, self._quality, self._progress, self._light_file)
+            if self._file.stem == SHIPPED:
+                shot = _shipped(cameras, mesh)
+            else:
+                shot = _rendered(self._room, cameras, self._quality, self._progress, self._light_file)
             for number, frame in enumerate(shot):
                 if self.is_broken_off:
                     raise CancelledError
@@ -258,6 +266,14 @@ def _rendered(
 
     for image, depth in photographs(room, cameras, quality, progress, kept):
         yield to_bytes(image), depth
+
+
+def _shipped(cameras: list[Camera], mesh: MeshArrays) -> "Iterator[_Frame]":
+    caster = RayCaster(mesh)
+    for number, camera in enumerate(cameras):
+        hits = caster.cast(camera.origin, camera.rays().reshape(-1, 3))
+        depth = np.where(hits.hit, hits.distance, 0.0).astype(np.float32)
+        yield to_bytes(read_image(PHOTOGRAPHS / f"{number:03d}.webp")), depth.reshape(camera.intrinsics.shape)
 
 
 def _arrays(

@@ -2,12 +2,14 @@
 
 import dataclasses
 import logging
+import os
 import threading
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.data.capture import Capture
@@ -17,6 +19,7 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.synthetic.room import Room, camera_path, make_room, render_room
 from hyjax.util.cache import cache_folder
 from hyjax.util.errors import InputError
+from hyjax.util.images import to_bytes
 
 TINY = {"n_frames": 3, "width": 64, "height": 48, "quality": 0.15, "progress": False}
 
@@ -147,6 +150,30 @@ def test_same_seed_same_pictures(room: Room) -> None:
     for (a, b), (c, d) in zip(first, again):
         np.testing.assert_array_equal(a, c)
         np.testing.assert_array_equal(b, d)
+
+
+@pytest.mark.slow
+def test_the_photographs_that_are_shipped_are_rendered_ones(
+    room: Room, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of two frames, all but for single pixels; with `HYJAX_WRITE_ROOM=1` all are rendered and written."""
+    import hyjax.data.builtin_room as module
+    from hyjax.synthetic.room import _bake
+    from hyjax.synthetic.room.render import photograph
+
+    cameras, baked = camera_path(room, 24), _bake(room, 1.0)
+    if os.environ.get("HYJAX_WRITE_ROOM"):
+        for number, camera in enumerate(cameras):
+            picture = Image.fromarray(to_bytes(photograph(baked, camera, number)[0]))
+            picture.save(module.PHOTOGRAPHS / f"{number:03d}.webp", lossless=True, quality=100, method=6)
+    monkeypatch.delattr(module, "_rendered")
+    shipped = load_room(cache_dir=tmp_path, progress=False)
+    assert f"room-v{module.VERSION}-" in module.SHIPPED and len(shipped) == 24
+    for number in (0, 13):
+        image, depth = photograph(baked, cameras[number], number)
+        apart = np.abs(shipped[number].image - image).max(axis=-1)
+        assert np.mean(apart > 1.5 / 255) < 1e-3 and apart.mean() < 0.01 / 255
+        np.testing.assert_allclose(shipped[number].depth, depth, atol=1e-5)
 
 
 def test_another_seed_is_another_room(room: Room) -> None:
