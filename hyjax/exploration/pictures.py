@@ -11,7 +11,7 @@ from hyjax.choices.table import CASCADES
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Level, Schedule
 from hyjax.exploration.kept_stages import KeptStages
-from hyjax.light.photo_light import SurfaceLight
+from hyjax.light.photo_light import SurfaceLight, direct_channels
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup, geometry_key, same_setup
 from hyjax.light.view import View
@@ -129,7 +129,9 @@ class Pictures:
         for relighter, index, lit in reversed(self._frames):
             factors = _factors(relighter.setup, lights) if relighter in known and index == frame else None
             if factors is not None:
-                colors = np.asarray(lit.shaded.colors) * factors[:, None]
+                colors = np.asarray(lit.shaded.colors)
+                direct = direct_channels(lights.lights, len(colors) < len(factors))
+                colors = colors * factors[list(direct), None]
                 return dataclasses.replace(lit, shaded=dataclasses.replace(lit.shaded, colors=colors))
         return None
 

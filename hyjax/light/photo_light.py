@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from hyjax.light.emission import Emitters
 from hyjax.light.gbuffer import GBuffer
@@ -170,18 +170,30 @@ def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lig
         shaded: direct light.
         light: on the vertices.
         gbuffer: of the view, with triangles; see `on_pixels` for surfaces outside the scan.
-        lights: of the shading; ambient ones are in the bounces, see `bounced_light`.
+        lights: of the shading; ambient ones are in the bounces, see `bounced_light`, and lose their channels.
     """
-    uniform = np.array([kind.UNIFORM and light.bounced is not None for kind in lights])
-    return _add(shaded, light, on_triangles(gbuffer), jax.device_put(uniform & (not uniform.all())))
+    return _add(shaded, light, on_triangles(gbuffer), direct=direct_channels(lights, light.bounced is not None))
 
 
-@jax.jit
-def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, left_out: Bool[Array, "l"]) -> Shaded:
-    illuminance = jnp.where(left_out, 0.0, shaded.illuminance)
-    photo_light = on_pixels(light.photo_light, light.faces, gbuffer)
-    indirect = indirect_on_pixels(light, gbuffer)
-    return dataclasses.replace(shaded, illuminance=illuminance, bounced=indirect, photo_light=photo_light)
+def direct_channels(lights: Sequence[Light], bounces: bool) -> tuple[int, ...]:
+    """Places of the lights that have a channel of their own: bounces stand in for ambient ones beside others."""
+    own = tuple(k for k, light in enumerate(lights) if not (light.UNIFORM and bounces))
+    return own or tuple(range(len(lights)))
+
+
+@functools.partial(jax.jit, static_argnames="direct")
+def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, *, direct: tuple[int, ...]) -> Shaded:
+    def own(channels: Float[Array, "h w l"]) -> Float[Array, "h w k"]:
+        return jnp.stack([channels[..., k] for k in direct], axis=-1)
+
+    return dataclasses.replace(
+        shaded,
+        illuminance=own(shaded.illuminance),
+        visibility=own(shaded.visibility),
+        colors=shaded.colors[jnp.array(direct)],
+        bounced=indirect_on_pixels(light, gbuffer),
+        photo_light=on_pixels(light.photo_light, light.faces, gbuffer),
+    )
 
 
 def indirect_on_pixels(light: SurfaceLight, gbuffer: GBuffer) -> Float[Array, "h w 3"] | None:

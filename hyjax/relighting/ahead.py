@@ -17,7 +17,7 @@ from hyjax.guide.choose import FrameGuide
 from hyjax.guide.edge_weights import edge_weights
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
-from hyjax.light.photo_light import SurfaceLight
+from hyjax.light.photo_light import SurfaceLight, direct_channels
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import shade_each
@@ -87,13 +87,14 @@ def begin_programs(
     def array(*shape: int, dtype: type = np.float32) -> Any:
         return jax.device_put(np.zeros(shape, dtype))
 
-    lights, picture = array(*samples, count), array(height, width, 3)
-    colors, known, reference, ambient = array(count, 3), array(*samples, 1), array(), array(3)
-    shaded = Shaded(lights, lights, colors, known, reference, ambient, sampling=sampling)
+    bounced = photo_light = None
     if configuration.light.photo_light == "divided":
         light = configured_light(EvenlyLitPlace(scene).surface_light(setup), configuration)
-        field = array(*samples, 3)
-        shaded = dataclasses.replace(shaded, bounced=None if light.bounced is None else field, photo_light=field)
+        count, photo_light = len(direct_channels(setup.lights, light.bounced is not None)), array(*samples, 3)
+        bounced = None if light.bounced is None else photo_light
+    lights, picture = array(*samples, count), array(height, width, 3)
+    colors, known, reference, ambient = array(count, 3), array(*samples, 1), array(), array(3)
+    shaded = Shaded(lights, lights, colors, known, reference, ambient, bounced, photo_light, sampling=sampling)
     vectors, numbers = array(*samples, 3), array(*samples)
     seen = GBuffer(vectors, vectors, numbers, array(*samples, dtype=bool), array(*samples, dtype=np.int32), vectors)
     cascades = cascade_calls(shaded, picture, configuration.schedule, configuration.shadow_schedule)
