@@ -226,8 +226,9 @@ def relight_run(
 def tell_of_another_device(configuration: Configuration) -> None:
     """Log that a configuration was measured on another device."""
     measured = configuration.measured
-    here = environment()["device"]
-    if measured is not None and configuration.name not in PRESETS and measured.device != here:
+    if measured is None or configuration.name in PRESETS:
+        return
+    if measured.device != (here := environment()["device"]):
         _log.warning(
             "configuration %s was tuned on %s; on this device, %s, its times may be others",
             configuration.name,
