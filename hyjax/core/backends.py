@@ -22,7 +22,6 @@ def with_fast_values(plain: Callable[..., Any], fast: Callable[..., Any]) -> Cal
     (9.0, 6.0)
 
     Args:
-        plain: a function of arrays, or pytrees of them.
         fast: another that computes the same.
     """
     function = jax.custom_jvp(fast)
@@ -57,7 +56,6 @@ def select_backend(plain: Callable[..., Any], *, gpu_kernel: bool = False) -> Ca
     (4, 4, 1)
 
     Args:
-        plain: the plain backend, with the arguments of `steps_in_place`.
         gpu_kernel: whether to take `hyjax.core.tiles` on a GPU, which was not measured on one yet.
     """
 

@@ -41,15 +41,11 @@ def guide_distance(guide: Float[Array, "h w f"], *, norm: Norm = "l2") -> Edges:
     (25.0, 12.25)
 
     Args:
-        guide: features, any number of channels.
         norm: `"l2"` is the paper's squared Euclidean norm; `"mean_abs"` squares the channel mean of |Δg|, as
             Metzger's published code does. A κ does not carry over from one to the other.
 
     Returns:
         (vertical, horizontal), shapes (H−1, W) and (H, W−1).
-
-    Raises:
-        InputError: unknown `norm`, or a guide that is not H×W×F.
     """
     if norm not in get_args(Norm):
         raise InputError(f"norm: {norm!r} is unknown; use one of {', '.join(get_args(Norm))}")

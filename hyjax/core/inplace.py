@@ -34,10 +34,7 @@ def steps_in_place(
     [0.2, 0.8]
 
     Args:
-        y: what is diffused.
-        edges: conductances.
         step_sizes: λ of each step.
-        fidelity: α; None for no data term.
         source: what the data term pulls to; None for `y`.
     """
     state = jnp.moveaxis(y, -1, 0)

@@ -282,7 +282,6 @@ def guided_schedule(steps: Iterable[tuple[int, int]], *, name: str = "custom", *
 
     Args:
         steps: (factor, number of steps).
-        name: its name in tables.
         options: of `Schedule.uniform`, instead of the presets'.
     """
     return Schedule.uniform(steps, name=name, **(GUIDED_OPTIONS | options))

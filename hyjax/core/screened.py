@@ -28,11 +28,7 @@ def screened_poisson(wanted: Edges, fidelity: Float[ArrayLike, ""]) -> Float[Arr
     [-0.333, 0.333]
 
     Args:
-        wanted: g along vertical and horizontal edges, see `hyjax.core.stencil.gradient`.
         fidelity: α > 0: differences count over distances of some 1/√α pixels.
-
-    Raises:
-        InputError: α is not above 0.
     """
     alpha = concrete(jnp.asarray(fidelity))
     if alpha is not None and not 0 < float(alpha) < float("inf"):

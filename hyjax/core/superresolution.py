@@ -139,9 +139,6 @@ def adjust(
 
     Returns:
         A picture whose cell means are the source where known.
-
-    Raises:
-        InputError: shapes that do not belong together.
     """
     check_source((y.shape[0], y.shape[1]), source, known, factor)
     return jnp.moveaxis(_adjust(jnp.moveaxis(y, -1, 0), jnp.moveaxis(source, -1, 0), known, factor), 0, -1)
@@ -161,17 +158,6 @@ def diffuse_adjusted(
     >>> source, known = jnp.array([[[2.0]]]), jnp.ones((1, 1), bool)
     >>> diffuse_adjusted(y, edges, jnp.full(20, 0.2), source, known, 2)[..., 0].round(2).tolist()
     [[2.0, 2.0]]
-
-    Args:
-        y: see `adjust`.
-        edges: see `diffuse`.
-        step_sizes: see `diffuse`.
-        source: see `adjust`.
-        known: see `adjust`.
-        factor: see `adjust`.
-
-    Raises:
-        InputError: as `diffuse` and `adjust` do.
     """
     check_step_sizes(step_sizes)
     _check_single_steps(step_sizes)

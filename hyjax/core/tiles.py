@@ -43,10 +43,6 @@ def steps_in_tiles(
     >>> stepped = steps_in_tiles(y, edges, jnp.full(1, 0.2), None, None, interpret=True)
     >>> [round(float(x), 3) for x in stepped[0, :, 0]]
     [0.2, 0.8]
-
-    Args:
-        y, edges, step_sizes, fidelity, source: see `hyjax.core.inplace.steps_in_place`.
-        interpret: run in Pallas's interpreter, on any platform.
     """
     if len(step_sizes) == 0:
         return y

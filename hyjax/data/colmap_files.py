@@ -20,8 +20,6 @@ def check_binary(part: str, content: bytes, where: str) -> None:
 
     Args:
         part: cameras, images or points3D.
-        content: of the file.
-        where: what messages call it.
     """
     after = {"cameras": _after_camera, "images": _after_image, "points3D": _after_point}[part]
     try:

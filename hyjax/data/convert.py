@@ -26,8 +26,6 @@ class SelectedFrames(ChosenFrames):
     """Some frames of a capture, with pictures of a size; depth keeps its own, and the mesh stays.
 
     Args:
-        capture: any.
-        indices: of its frames.
         size: height and width of the pictures; theirs if None.
     """
 
@@ -104,9 +102,7 @@ def write_capture(capture: Capture, layout: Layout, out: Path, progress: bool = 
 
     Args:
         capture: any; frames that are damaged are left out with a line, unless it is strict.
-        layout: of the result.
         out: folder, which must not be there or be empty; it appears whole or not at all.
-        progress: show a bar on stderr.
 
     Returns:
         The number of frames, without those that are damaged.

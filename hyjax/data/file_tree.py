@@ -20,7 +20,6 @@ class FileTree:
     """Files by name, such as `depth/000012.png`, below a folder on disk.
 
     Args:
-        path: the folder.
         names: of all files; separated by slashes, relative to the folder.
 
     Attributes:

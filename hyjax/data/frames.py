@@ -78,11 +78,7 @@ def select_frames(text: str, count: int) -> list[int]:
 
 
 def frame_numbers(text: str) -> list[list[int | None]]:
-    """Numbers of each part of what `select_frames` takes, before the capture is known.
-
-    Raises:
-        InputError: not of its form.
-    """
+    """Numbers of each part of what `select_frames` takes, before the capture is known."""
     found = []
     for part in text.split(","):
         fields = ["", "", ""] if part.strip() == "all" else part.strip().split(":")

@@ -10,8 +10,6 @@ def check_keys(where: str, content: Any, known: Collection[str], required: Colle
     """Check that an entry is a mapping with these keys.
 
     Args:
-        where: of the entry, for the error.
-        content: the entry.
         known: keys that it may have, in the order in which they are told.
         required: those that it must have.
     """

@@ -11,12 +11,7 @@ from hyjax.util.errors import InputError
 
 
 class Fields:
-    """An object of a JSON file by its keys.
-
-    Args:
-        content: as `json` gives it.
-        where: what messages call it.
-    """
+    """An object of a JSON file by its keys."""
 
     def __init__(self, content: Any, where: str) -> None:
         if not isinstance(content, dict):
@@ -35,8 +30,6 @@ class Fields:
         """A number.
 
         Args:
-            key: of it.
-            default: where there is no such key; None if there must be one.
             finite: whether NaN and infinite numbers, which some programs write for an unknown pose, are refused.
         """
         if default is not None and key not in self:

@@ -72,9 +72,6 @@ def undistorted(
     Beyond the borders of the stored picture the nearest pixel goes on.
 
     Args:
-        image: as the lens gave it.
-        intrinsics: of `image`.
-        distortion: of the lens.
         nearest: take the nearest pixel, as depth maps want it, and 0 beyond the borders.
     """
     if distortion.is_none:

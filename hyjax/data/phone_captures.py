@@ -139,12 +139,7 @@ class PhoneScan:
         depth_intrinsics: Intrinsics | None = None,
         exposure: float | None = None,
     ) -> Shot | None:
-        """A shot, with a remark if it lacks picture or depth; None, counted in `faults`, without a valid pose.
-
-        Args:
-            source: file of the shot, for messages.
-            name, time, pose, intrinsics, picture, depth, depth_intrinsics, exposure: see `Shot`.
-        """
+        """A shot, with a remark if it lacks picture or depth; None, counted in `faults`, without a valid pose."""
         if pose is None:
             self.faults.add("poses are unusable (not finite, or no rotation) and left out", source)
             return None
@@ -168,7 +163,6 @@ class PhoneScan:
 
         Args:
             shots: in the order in which the files have them.
-            up, name: see `Recording`.
             mesh: name of the device's mesh, where there is one.
         """
         for before, after in itertools.pairwise(shots):

@@ -66,16 +66,11 @@ class Recording(Capture):
     """A capture made of shots, in the order in which they are given.
 
     Args:
-        tree: its files.
         shots: at least one with a picture.
         name: short; the tree's name if None.
         up: unit vector against gravity; the cameras' mean up direction if None.
         mesh: name of the file of the device's mesh in `tree`; None without one.
-        sensor: of its depth.
-        faults: what is damaged, a line each; see `Capture`.
-        remarks: what is worth telling, a line each.
         turn: whether pictures are turned upright by quarter turns, all by the same.
-        metric, depth_in_units: see `Capture`.
     """
 
     def __init__(

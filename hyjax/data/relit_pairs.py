@@ -83,12 +83,7 @@ class _Rig:
 
 
 def open_relit_pairs(folder: Path, width: int = WIDTH) -> list[RelitPair]:
-    """Open all places under two lights in a folder.
-
-    Args:
-        folder: of the scenes, or a scene's own.
-        width: see `WIDTH`.
-    """
+    """Open all places under two lights in a folder."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
     pairs: list[RelitPair] = []

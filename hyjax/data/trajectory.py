@@ -28,7 +28,6 @@ class Trajectory:
     Args:
         times: seconds, ascending.
         poses: camera-to-world, metres.
-        where: what to call it in messages.
     """
 
     def __init__(

@@ -25,12 +25,6 @@ Picture = Float[np.ndarray, "h w 3"]
 class TruthCapture(RoomCapture):
     """Photos of a room under its own light, with its true geometry and light.
 
-    Args:
-        name: of the room, see `hyjax.synthetic.truth.lit_room`.
-        arrays: of its photos.
-        folder: for what is baked.
-        quality: of the light.
-
     Attributes:
         exposure: e of the photos, each channel.
         mean_light: K, over all frames: see `TruthRoom`.

@@ -42,7 +42,6 @@ class VideoFrames:
 
     Args:
         tree: of the file; from an archive it is copied to a temporary file, which lives as long as this object.
-        name: of the file in it.
     """
 
     def __init__(self, tree: FileTree, name: str) -> None:
@@ -147,11 +146,7 @@ def new_video(path: Path) -> Iterator[Any]:
 
 
 def import_av(what: str) -> Any:
-    """The package `av`.
-
-    Args:
-        what: needs it, for the message.
-    """
+    """The package `av`."""
     return optional_module("av", "captures", what)
 
 

@@ -122,9 +122,6 @@ def seen_through(
     """Pixels of one lens as another at the same place sees them.
 
     Args:
-        pixels: through `source`.
-        source: their lens.
-        target: the other.
         nearest: take the nearest pixel, as depth wants it, and 0 beyond the borders; otherwise pixels are mixed,
             and the nearest goes on beyond the borders.
     """

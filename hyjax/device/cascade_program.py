@@ -89,10 +89,6 @@ class CascadeWriter:
         """Add the levels of a cascade.
 
         Args:
-            name: of its buffers, and in timings.
-            source: buffer of the picture.
-            schedule: levels with their steps.
-            groups: channel groups of the picture.
             total: whether to sum the picture up, into the buffer `<name> totals`.
 
         Returns:

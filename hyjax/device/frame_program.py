@@ -75,12 +75,8 @@ def frame_program(
     are in `depths`, which it makes as large as they need; `frame` and the texture `photo` for each picture.
 
     Args:
-        counts: of the scene.
         size: (height, width) of the frames.
-        schedule: cascade for the light.
-        shadow_schedule: cascade for the visibility.
         features: channels of the guide; the RGB guide, which is the picture itself, has 3.
-        precision: of pictures between passes.
         stages: whether there is a stage `stages`, whose pictures take four times the memory of the image.
     """
     program = Program(size, precision)

@@ -62,10 +62,6 @@ def light_records(
     """Records of lights.
 
     Args:
-        lights: of the kinds that come with hyjax.
-        occluders: the mesh that casts shadows.
-        shadows: whether lights cast any.
-        slack: of shadow maps, see `hyjax.light.shadow_map.ShadowMap`.
         resolutions: texels a side of a map with one view, and of each of several.
         uniform: whether ambient light is kept; bounces stand in its place.
     """

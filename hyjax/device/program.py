@@ -123,18 +123,7 @@ class Program:
         jobs: bool = False,
         constants: Mapping[str, object] = NO_CONSTANTS,
     ) -> None:
-        """Add a launch.
-
-        Args:
-            stage: see `Program`.
-            label: in timings.
-            files: of shader text, which are joined.
-            bind: buffers and textures, by binding number.
-            grid: workgroups across and down.
-            depth: layers of workgroups.
-            jobs: see `Launch`.
-            constants: values of `$name` in the text.
-        """
+        """Add a launch."""
         shader = self.add_shader(files, constants)
         self.launches.append(Launch(stage, label, shader, tuple(bind), *grid, depth, jobs))
 

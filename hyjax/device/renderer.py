@@ -192,10 +192,6 @@ def frame_record(
 
     Args:
         camera: None where only the lights matter.
-        counts: of lights, panes and lamps.
-        ambient: filter where nothing of a frame is known.
-        reference_lux: of the set-up.
-        mean: of the photos' light.
     """
     record = np.zeros(32, np.float32)
     if camera is not None:

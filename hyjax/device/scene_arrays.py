@@ -58,10 +58,8 @@ def scene_arrays(
     """Arrays of a scene.
 
     Args:
-        scene: opened.
         keep_photo_light: whether the light of the photos stays in the pictures, and bounces are left out.
         rays: of each point, evenly chosen among those of the light transport; all by default.
-        surface_occluders: whether the bare mesh casts the shadows.
         photo_exponent: of E_old / K, see `hyjax.configuration.LightOptions`.
     """
     mesh = scene.mesh

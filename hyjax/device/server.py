@@ -86,11 +86,9 @@ class Server:
     """Server of a site, until `stop`.
 
     Args:
-        site: its content.
         host: address to listen at. Any but this machine's own has HTTPS.
         port: to listen at; 0 for any free one.
         secret: whether addresses contain a random token, where other machines can reach the server.
-        page: first page.
     """
 
     def __init__(

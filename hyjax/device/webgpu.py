@@ -42,10 +42,7 @@ class ShaderEngine:
     """Engine of a program: its buffers and pipelines.
 
     Args:
-        program: shaders, buffers, launches.
-        lights: number of lights, which the sizes of buffers follow.
         sizes: bytes of buffers that the program leaves open.
-        device: see `open_device`.
     """
 
     program: Program
@@ -104,8 +101,6 @@ class ShaderEngine:
         """Run the launches of stages, one stage after the other.
 
         Args:
-            stages: see `Program`.
-            jobs: views of shadow maps, for the stage `shadows`.
             side: texels a side of each of them, with the gutter.
         """
         encoder = self.device.create_command_encoder()

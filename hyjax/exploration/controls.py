@@ -71,12 +71,7 @@ def values(configuration: Configuration) -> dict[str, Any]:
 def ladders(
     configuration: Configuration, ends: Mapping[str, Sequence[int]]
 ) -> dict[str, list[dict[str, float | int | None]]]:
-    """Levels of both cascades, with the numbers of their sliders.
-
-    Args:
-        configuration: whose levels they are.
-        ends: of the sliders of steps, by cascade.
-    """
+    """Levels of both cascades, with the numbers of their sliders."""
 
     def row(level: Level, most: int) -> dict[str, float | int | None]:
         sizes = np.asarray(level.step_sizes, np.float64)
@@ -90,11 +85,7 @@ def ladders(
 
 
 def with_choice(configuration: Configuration, name: str, value: Any) -> Configuration:
-    """Configuration with another value of any choice; of one that each level of a cascade has, in all of them.
-
-    Raises:
-        InputError: there is none of this name, or it cannot have this value.
-    """
+    """Configuration with another value of any choice; of one that each level of a cascade has, in all of them."""
     choice = CHOICES.get(name)
     if choice is None or choice.part not in CASCADES:
         return configuration.with_choices({name: value}).check()
@@ -116,13 +107,7 @@ def with_level(configuration: Configuration, part: str, index: int, key: str, va
 
     Args:
         configuration: to be changed.
-        part: `schedule` or `shadow_schedule`.
-        index: of the level, coarse to fine.
-        key: `steps`, `kappa`, `lam` or `fidelity`.
         value: the number; of a fidelity also None.
-
-    Raises:
-        InputError: there is no such level or number, or it is out of range.
     """
     levels = list(getattr(configuration, part).levels) if part in CASCADES else []
     if key not in LADDER or isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(levels):
@@ -194,9 +179,6 @@ def script(
 
     Args:
         settings: of the scene; None where the program must be given it, as `scene`.
-        frame: its position.
-        lights: a set-up or its name.
-        configuration: of the picture.
     """
     lines = ["from pathlib import Path", "", "import numpy as np", "", "import hyjax", ""]
     if settings is None:

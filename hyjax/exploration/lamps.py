@@ -33,13 +33,7 @@ def changed_lamp(setup: LightSetup, camera: Camera, index: Any, kind: str, value
 
     Args:
         setup: to be changed.
-        camera: of the picture.
-        index: of the light.
-        kind: `strength` or `place`.
         value: the strength, or the place in the picture as shares of its width and height.
-
-    Raises:
-        InputError: there is no such light, it has no place, or the value is no number.
     """
     if not 0 <= index < len(setup.lights):
         raise InputError(f"lights: there is no light {shown(index)}")

@@ -46,7 +46,6 @@ class DraftRelighter(Relighter):
     """Relighter that may take the light on the surface from another, so that no bounces are followed.
 
     Args:
-        place, lights, configuration: see `Relighter`.
         surface: light on the surface; None for that of the lights.
     """
 
@@ -79,7 +78,6 @@ class Pictures:
     pictures, and worth compiling only where counts are going to change.
 
     Args:
-        scene: whose frames they are.
         superseded: asked between stages: whether a newer picture is wanted.
     """
 
@@ -98,8 +96,6 @@ class Pictures:
         """Relighter of lights; its configuration's cascades may be of an earlier change.
 
         Args:
-            lights: a set-up or its name.
-            configuration: any.
             surface: light on the surface that is taken in the place of their own, for a draft.
         """
         key = light_key(configuration), id(surface)
@@ -168,12 +164,10 @@ class Pictures:
         """Relit frame.
 
         Args:
-            frame, lights, configuration, clock: as of `lit`.
             beside: whether it is only shown beside another, whose bounces drafts keep.
 
         Raises:
             Superseded: a newer picture was asked for meanwhile.
-            InputError: the lights or the configuration cannot be used.
         """
         lit = self.lit(frame, lights, configuration, clock)
         if not beside:
@@ -208,11 +202,7 @@ class Pictures:
     def levels(
         self, frame: int, lights: Lights, configuration: Configuration, clock: StageClock
     ) -> list[tuple[str, Float[Array, "h w 3"]]]:
-        """Light after each level of the cascade, without shadows, over the reference.
-
-        Raises:
-            InputError: mode `paper`, whose cascade has the picture's channels.
-        """
+        """Light after each level of the cascade, without shadows, over the reference."""
         if configuration.mode == "paper":
             raise InputError("levels: mode 'paper' is shown by its stages only")
         lit, found = self.lit(frame, lights, configuration, clock), []

@@ -27,10 +27,6 @@ class KnownTruth:
     """What the frames of a scene should look like, as far as that is known.
 
     Of a generated room it is known under named lights: their light is baked, which takes seconds, once.
-
-    Args:
-        scene: whose frames they are.
-        own: what tells it in the place of the capture.
     """
 
     def __init__(self, scene: Scene, own: Truth | None = None) -> None:
@@ -43,13 +39,8 @@ class KnownTruth:
         """True picture of a frame, display values; None where it is not known.
 
         Args:
-            index: of the frame.
             lights: as they were given.
             setup: the same, placed.
-            shape: of the picture.
-
-        Raises:
-            InputError: what tells it has told a picture of another shape.
         """
         capture = self._scene.capture
         if not self.known:

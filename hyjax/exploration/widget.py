@@ -40,12 +40,7 @@ _log = logging.getLogger(__name__)
 
 
 class Checked(traitlets.TraitType):
-    """Trait whose values are checked, and brought into one form.
-
-    Args:
-        check: takes the widget and a value.
-        default: that it begins with.
-    """
+    """Trait whose values are checked, and brought into one form."""
 
     def __init__(self, check: Callable[[Any, Any], Any], default: Any = None) -> None:
         super().__init__(default)

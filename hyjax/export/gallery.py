@@ -23,14 +23,8 @@ def export_gallery(settings: ExportSettings) -> list[str]:
 
     Pages that are written before one fails are whole; the index is written last.
 
-    Args:
-        settings: with captures.
-
     Returns:
         Folders of the pages, in `settings.out`.
-
-    Raises:
-        InputError: a folder that holds something else, or what `export_web` refuses.
     """
     folders = folder_names(settings.captures)
     check_gallery_folder(settings.out, folders)

@@ -22,8 +22,6 @@ def sun_table(scene: Scene, day: str = "2026-06-21", latitude: float = 48.0) -> 
     """Lights of each half hour of a day; None without the extra `tour`, or for a room without windows.
 
     Args:
-        scene: the room.
-        day: date.
         latitude: degrees.
     """
     windows = scene.photo_light.sources.windows

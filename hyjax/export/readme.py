@@ -29,10 +29,6 @@ def write_readme(
     """The README's text.
 
     Args:
-        graph: what was exported.
-        artifact: what became of it.
-        target: its name.
-        packages: those whose versions count, besides hyjax and jax.
         parity: as measured; None where it could not be.
     """
     names = dict.fromkeys(("hyjax", "jax", *packages))

@@ -45,14 +45,7 @@ _log = logging.getLogger(__name__)
 
 
 def export_web(settings: Any) -> dict[str, Any]:
-    """`write_page` with the settings of an export.
-
-    Args:
-        settings: `ExportSettings`.
-
-    Returns:
-        See `write_page`.
-    """
+    """`write_page` with the settings of an export."""
     check_page_folder(settings.out)
     if settings.guide not in (None, "rgb"):
         raise InputError("web: the page's guide is the frame itself; leave --guide out")
@@ -87,24 +80,14 @@ def write_page(
     The folder appears whole or not at all; an earlier page in its place is replaced.
 
     Args:
-        scene: opened.
-        setup: lights that the page starts with.
         configuration: how frames are relit, as far as pages follow it, or a schedule for the default one.
-        frames: positions in the capture.
-        out: folder.
         presets: configurations that may be chosen on the page in the place of its own.
-        rays: of each point of the light transport.
         resolutions: texels a side of shadow maps with one view, and of each of several, at a scale of 1.
         lossless: whether frames are PNG and not JPEG files.
         sun: whether to add the sun by the hour.
-        progress: show a bar on stderr.
 
     Returns:
         The content of page.json.
-
-    Raises:
-        InputError: the folder holds something else, no frames, frames of several sizes, or what the shaders cannot
-            show.
     """
     if not frames:
         raise InputError("web: no frames; choose at least one")

@@ -36,7 +36,6 @@ class Coverage:
 
         Args:
             caster: of the mesh; None where there is none, which covers nothing.
-            readings: depth maps; readings without any confidence count as none.
         """
         pixels = read = covered = hit = 0
         distances = []

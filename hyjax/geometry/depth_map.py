@@ -83,7 +83,6 @@ def confirmed(frame: DepthFrame, position: Float[np.ndarray, "h w 3"], *, unread
     """Mask of the surface points whose depth a frame's depth map confirms within `READING_TOLERANCE`.
 
     Args:
-        frame: with its depth.
         position: world points, one a pixel of any camera.
         unread: what to answer where the depth map has no reading.
     """

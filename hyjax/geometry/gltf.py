@@ -43,12 +43,7 @@ def counted_gltf(
     """A glTF of nothing but surfaces, and the buffers that it names.
 
     Args:
-        path: of the glTF or GLB.
         content: the file's bytes, where it lies in an archive.
-        beside: content of a file that it names.
-
-    Raises:
-        InputError: it is damaged, nested too deep, or asks for far more than it holds.
     """
     with open_regular(path) if content is None else io.BytesIO(content) as file:
         tree, is_binary = _header(path, file)

@@ -43,14 +43,9 @@ def load_mesh(path: Path, repair: bool = False, content: bytes | None = None) ->
     list cannot be told from a whole one.
 
     Args:
-        path: the file.
         repair: drop unusable faces (and the vertices that only they used) instead of refusing them, with a line
             that counts them.
         content: the file's bytes, where it lies in an archive.
-
-    Raises:
-        InputError: no such file, unknown extension, truncated or unparseable, no faces, non-finite vertices,
-            face indices out of range, degenerate triangles.
     """
     path = Path(path)
     if path.suffix.lower() not in READABLE:

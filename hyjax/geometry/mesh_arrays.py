@@ -21,7 +21,6 @@ class MeshArrays:
 
     Args:
         vertices: world metres.
-        faces: numbers of vertices.
         normals: of the vertices, any length; None to compute them when they are asked for.
     """
 
@@ -37,11 +36,7 @@ class MeshArrays:
 
     @classmethod
     def of(cls, mesh: "trimesh.Trimesh | MeshArrays") -> "MeshArrays":
-        """Arrays of a mesh, kept as its `mesh`; arrays as they are.
-
-        Raises:
-            InputError: it is no mesh.
-        """
+        """Arrays of a mesh, kept as its `mesh`; arrays as they are."""
         if isinstance(mesh, MeshArrays):
             return mesh
         if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):

@@ -53,7 +53,6 @@ def agreement(first: PosedPicture, second: PosedPicture, far: float) -> float | 
     """Correlation of the fine structure of two pictures where both see one surface; None where little is common.
 
     Args:
-        first: its readings say which surface.
         second: what it sees in front of that surface hides it.
         far: metres beyond which no reading counts.
     """

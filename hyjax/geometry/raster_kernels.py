@@ -61,7 +61,6 @@ def project(
 
     Args:
         vertices: (n, 3), world.
-        view: rows are the view's three axes and its origin.
         pieces: (p, 3, 3), from the view's axes to homogeneous column, row and w, for each combination of signs of
             the first axes: one, four (x, y) or eight (x, y, z). Bits of a piece's number are set for minus.
         parallel: whether rays are; pieces then act on (x, y, 1).
@@ -193,10 +192,6 @@ def select(
 
     Args:
         triangles: (m, 3), numbers of vertices.
-        points, sides: see `project`.
-        mask: pieces less one.
-        first, last: what is looked at.
-        shape: rows and columns of the picture.
         chosen: (m,), whose places from `first` on are filled with their numbers.
 
     Returns:
@@ -245,8 +240,6 @@ def draw(
     """Triangles into buffers; where two are equally near, the one that comes first.
 
     Args:
-        chosen: numbers of the triangles.
-        vertices, view, pieces, parallel, points, sides: see `project`.
         triangles: (m, 3), numbers of vertices.
         spans: (p, 2, h), first and last column of each piece in each row.
         limit: (h, w), keys must be smaller; not looked at where triangles' numbers are asked for.
@@ -279,7 +272,6 @@ def distances(keys: np.ndarray, norm: np.ndarray, limit: np.ndarray, parallel: b
     Args:
         keys: (h, w), changed in place.
         norm: (h, w), length of the direction whose w is 1.
-        limit, parallel: see `draw`.
     """
     for row in range(keys.shape[0]):
         for column in range(keys.shape[1]):
@@ -299,7 +291,6 @@ def merge(keys: np.ndarray, faces: np.ndarray, first: int, last: int) -> None:
 
     Args:
         keys, faces: (b, h, w), see `draw`; of views whose rays spread out.
-        first, last: rows.
     """
     for row in range(first, last):
         for column in range(keys.shape[2]):

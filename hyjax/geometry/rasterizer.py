@@ -72,7 +72,6 @@ class Rasterizer:
 
     Args:
         vertices: world metres; copied, like the triangles.
-        triangles: numbers of vertices.
     """
 
     def __init__(self, vertices: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "m 3"]) -> None:
@@ -102,12 +101,7 @@ class Rasterizer:
         return keys
 
     def gbuffer(self, camera: Camera, normals: Float[np.ndarray, "n 3"]) -> GBuffer:
-        """G-buffer of the mesh in a camera, by all threads.
-
-        Args:
-            camera: anywhere.
-            normals: of the vertices; any length, interpolated and made unit.
-        """
+        """G-buffer of the mesh in a camera, by all threads."""
         from hyjax.geometry import raster_kernels, surface_kernel
 
         view, rays = camera_view(camera), camera_rays(camera)
@@ -183,8 +177,6 @@ def share_out(work: Callable[[slice], T], count: int, parts: int) -> list[T]:
 
     Args:
         work: on a part; must let go of Python for cores to work at once.
-        count: length of the range.
-        parts: how many; no more than there are numbers.
 
     Returns:
         Results, in the parts' order.

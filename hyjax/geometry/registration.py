@@ -46,11 +46,7 @@ def register(
     """Depth maps with poses that fit each other.
 
     Args:
-        readings: of one place, posed to within `GATE` or so.
-        fuse_readings: makes their surface.
         far: metres beyond which nothing is matched.
-        rounds: how often they are fused and moved.
-        progress: show a bar on stderr.
     """
     current = list(readings)
     with StepBar[None](desc="registering", total=rounds * len(readings), disable=not progress, unit="frame") as bar:
@@ -70,7 +66,6 @@ def registered(reading: DepthReading, caster: RayCaster, far: float, first: Pose
 
     Args:
         reading: the depth map with a pose that is nearly right.
-        caster: of the surface.
         far: metres beyond which nothing is matched.
         first: pose that it must stay near; its own if None.
     """

@@ -113,9 +113,6 @@ def simulate_scan(
 
     Args:
         frames: a capture with depth, pairs (depth, camera), or `RenderedDepths(mesh, cameras)`.
-        config: the scanner.
-        seed: of all its errors.
-        progress: show a bar on stderr.
     """
     config = config or ScanConfig()
     views = simulate_sensors(frames, config, seed)

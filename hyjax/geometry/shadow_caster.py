@@ -124,8 +124,6 @@ class MapLayout:
         """Layout for views of a light.
 
         Args:
-            views: of the light.
-            scale: of the resolution, see `cast_shadow_maps`.
             bounds: least and largest coordinates of the mesh, which parallel rays without an opening cover.
         """
         size = max(1, round((RESOLUTION if views.count == 1 else VIEW_RESOLUTION) * scale))

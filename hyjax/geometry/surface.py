@@ -29,7 +29,6 @@ def extract_surface(
     Args:
         blocks: coordinates of blocks of 8³ voxels; voxel (i, j, k) of block b sits at voxel·(8b + (i, j, k)).
         distance: signed, positive in free space, as a share of the truncation.
-        observed: which voxels count.
         voxel: edge in metres.
         min_area: connected pieces of less surface are dropped, m²; (8 voxels)² unless given.
 

@@ -26,10 +26,8 @@ def surface(
     """Attributes of the nearest triangles at the pixels of some rows, in a perspective view of one piece.
 
     Args:
-        vertices, triangles, points: see `hyjax.geometry.raster_kernels.draw`.
         normals: (n, 3), of the vertices.
         rays: direction of the ray through pixel (0, 0), its change by a column and by a row, and its origin.
-        faces, rows: see `hyjax.geometry.raster_kernels.draw`.
         position, normal, depth, hit, barycentric: filled, see `GBuffer`.
     """
     e, plane = np.zeros((3, 3)), np.zeros(3)

@@ -73,13 +73,8 @@ def fuse(
         truncation: half width of the band around the surface in metres; 4 voxels unless given.
         max_depth: metres.
         min_weight: least weight of a voxel; 1 is one view head-on from 1 m, 1/9 one from 3 m.
-        progress: show a bar on stderr.
         checkpoint: file to keep what has been fused in, every half minute; a later call with the same frames
             goes on from it, and removes it in the end. Frames that are `Restartable` are not read again for it.
-
-    Raises:
-        InputError: unusable parameters, a depth map of another size than its camera, no readings at all, or a
-            space too large for so small a voxel.
     """
     truncation = 4.0 * voxel if truncation is None else truncation
     if not (0 < voxel < truncation < max_depth and np.isfinite(max_depth)):

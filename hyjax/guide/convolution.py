@@ -93,12 +93,7 @@ def _padded(x: Picture, pad: int) -> Picture:
 
 
 def convolve_upsampled(x: Picture, kernels: Sequence[Float[Array, "2 2 i o"]]) -> Picture:
-    """Convolution after `upsample` to twice the size, with 4/9 of the products.
-
-    Args:
-        x: the small picture.
-        kernels: `parity_kernels` of the convolution's kernel.
-    """
+    """Convolution after `upsample` to twice the size, with 4/9 of the products."""
     batch, height, width, _ = x.shape
     outputs = kernels[0].shape[-1]
     parts = [

@@ -98,8 +98,6 @@ def radiant_filter(
 
     Args:
         lights: a rectangle in a pane's opening, or a bulb within a lamp, makes it shine.
-        panes, lamps: see `Emitters`.
-        reference_lux: of the set-up.
     """
     sent = np.zeros((len(panes) + len(lamps), 3))
     for light in lights:
@@ -131,13 +129,7 @@ def may_show(
     pose: Float[ArrayLike, "4 4"],
     intrinsics: Float[ArrayLike, "3 3"],
 ) -> bool:
-    """Whether a camera can have a pane or a lamp in its picture; true for traced arguments.
-
-    Args:
-        emitters: of the place.
-        size: height and width of the picture.
-        pose, intrinsics: see `source_pixels`.
-    """
+    """Whether a camera can have a pane or a lamp in its picture; true for traced arguments."""
     known = [concrete(x) for x in (emitters.panes, emitters.lamps, pose, intrinsics)]
     if any(x is None for x in known):
         return True

@@ -53,13 +53,7 @@ FEATURES = 12
 
 @jax.jit
 def with_light_edges(illuminance: Float[Array, "h w c"], view: View, weights: Weights) -> Float[Array, "h w c"]:
-    """Refined light whose last three channels, the photo's own light, follow the photo's light edges.
-
-    Args:
-        illuminance: see `hyjax.pipeline.refine_illuminance`.
-        view: of the frame, with a pose.
-        weights: of the network.
-    """
+    """Refined light whose last three channels, the photo's own light, follow the photo's light edges."""
     return sharpened(illuminance, edge_correction(view, own_light(illuminance), weights))
 
 
@@ -81,11 +75,6 @@ def edge_correction(view: View, light: Float[Array, "h w 3"], weights: Weights) 
 
     Args:
         view: of the frame, with a pose; its pixels that are not finite are black.
-        light: of the photo, refined.
-        weights: of the network.
-
-    Raises:
-        InputError: the view has no pose, or the weights are of another network.
     """
     if view.pose is None:
         raise InputError("light_edges: need the view's pose, as the network sees normals in the camera's axes")
@@ -123,9 +112,6 @@ def corrected(
     """Correction c of the estimate's logarithm.
 
     Args:
-        log_frame: log I.
-        log_light: e₀.
-        shares: s of each edge.
         fidelity: α.
     """
     differences = gradient(log_frame - log_light)
@@ -141,8 +127,6 @@ def edge_features(
     """Features of the pixels: brightness and its differences, hue, estimate, surface; all about one in size.
 
     Args:
-        log_frame: logarithm of the photo.
-        log_light: e₀.
         normal: in the camera's axes; 0 where there is none.
         depth: in metres.
     """
@@ -165,7 +149,6 @@ def light_shares(weights: Weights, features: Float[Array, "*b h w f"]) -> Edges:
     """Share s, in [0, 1], of light in the difference along each edge, as the network has it.
 
     Args:
-        weights: see `Weights`.
         features: of the pixels.
     """
     height, width, count = features.shape[-3:]

@@ -25,12 +25,7 @@ def pane_shares(
     pose: Float[Array, "4 4"],
     intrinsics: Float[Array, "3 3"],
 ) -> Float[Array, "n h w"]:
-    """Weight of each pane in each pixel, in [0, 1].
-
-    Args:
-        panes, means: see `hyjax.light.emission.Emitters`.
-        frame, gbuffer, pose, intrinsics: see `hyjax.light.emission.source_pixels`.
-    """
+    """Weight of each pane in each pixel, in [0, 1]."""
     brightness = jnp.min(frame, axis=-1)
     bright = ramp(brightness, PANE_DARK, PANE_BRIGHT)
     dark = jnp.where(gbuffer.hit, 0.0, 1.0 - ramp(brightness, PANE_UNLIT, PANE_LIT))

@@ -79,9 +79,7 @@ def bounced_light(
     """Indirect illuminance (lux) of the vertices by way of other surfaces, with the lights' colours.
 
     Args:
-        photo: transport and albedo.
         lights: bounces stand in the place of ambient ones, which fill them up where they give much less.
-        shadow_maps: one for each light; None for no shadows.
     """
     maps = (None,) * len(lights) if shadow_maps is None else tuple(shadow_maps)
     chosen = [(light, shadow_map) for light, shadow_map in zip(lights, maps, strict=True) if not light.UNIFORM]
@@ -93,10 +91,6 @@ def bounced_light(
 
 def least_bounced(lights: Sequence[Light], filled_share: float = FILLED_SHARE) -> Float[Array, "3"]:
     """Illuminance that bounces are filled up to, a share of ambient lights'; 0 where there are no other lights.
-
-    Args:
-        lights: of a set-up.
-        filled_share: see `PhotoLight`.
 
     >>> from hyjax import AmbientLight, PointLight
     >>> lights = [AmbientLight(jnp.float32(100.0), jnp.ones(3)), PointLight(jnp.zeros(3), 900.0, jnp.ones(3))]
@@ -167,8 +161,6 @@ def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lig
     """Add the photo's own light and bounces to a shaded surface.
 
     Args:
-        shaded: direct light.
-        light: on the vertices.
         gbuffer: of the view, with triangles; see `on_pixels` for surfaces outside the scan.
         lights: of the shading; ambient ones are in the bounces, see `bounced_light`, and lose their channels.
     """
@@ -207,8 +199,6 @@ def on_pixels(values: Float[Array, "v 3"], faces: Int[Array, "f 3"], gbuffer: GB
     """Interpolate light on vertices at the pixels of a view: 0 in holes; its mean on surfaces outside the scan.
 
     Args:
-        values: light on the vertices.
-        faces: of the scan.
         gbuffer: with triangles of the scan, -1 where the surface is another's.
     """
     assert gbuffer.face is not None and gbuffer.barycentric is not None

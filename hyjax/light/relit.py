@@ -47,9 +47,6 @@ def composite_linear(
 
     Args:
         frame: camera picture, linear.
-        shaded: light before the refinement.
-        illuminance: see `refine_illuminance`.
-        visibility: see `refine_visibility`.
     """
     relight_filter, image = relit_picture(frame, shaded, illuminance, visibility)
     return compared(frame, shaded, illuminance, visibility, relight_filter, image)
@@ -155,7 +152,6 @@ def composite_display(
     Args:
         frame: camera picture, linear.
         raw, raw_shadowed: filter before the refinement, without and with shadows; display-encoded like all filters.
-        refined: filter after the cascade.
         visible: share that the refined shadows leave of it.
     """
     display, relight_filter = to_display(finite_or_zero(frame)), refined * visible

@@ -12,12 +12,7 @@ FEWEST_NEIGHBOURS = 8
 
 @jax.jit
 def without_outliers(values: Float[Array, "v c"], faces: Int[Array, "f 3"]) -> Float[Array, "v c"]:
-    """Values held to the range of their neighbours' and three times as much: slopes and corners stay, dots go.
-
-    Args:
-        values: of the vertices.
-        faces: triangles.
-    """
+    """Values held to the range of their neighbours' and three times as much: slopes and corners stay, dots go."""
     ends = jnp.concatenate([faces[:, k] for k in (0, 1, 2, 0, 1, 2)])
     starts = jnp.concatenate([faces[:, k] for k in (1, 2, 0, 2, 0, 1)])
     around = values[starts]

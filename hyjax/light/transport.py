@@ -71,10 +71,7 @@ def bounce(
     """Indirect illuminance of the points: the Neumann series T ρ D + (T ρ)² D + …
 
     Args:
-        transport: between the points.
-        albedo: of the points.
         direct: light straight from the sources; its channels are red, green and blue, once or several times over.
-        bounces: terms of the series.
     """
     reflect = jnp.tile(albedo, (1, direct.shape[1] // 3))
 

@@ -34,9 +34,6 @@ def upscaled_picture(
 
     Args:
         display: the frame, display-encoded.
-        view: at the smaller size.
-        relight_filter, image: of that view, see `hyjax.light.relit.relit_picture`.
-        emission: of that view.
         kappa: κ of the interpolation, see `guided_upsample`.
         factor: ≥ 1.
 

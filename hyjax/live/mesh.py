@@ -72,7 +72,6 @@ class LiveMesh:
         waiting: regions that have changed and were not meshed yet, with the urgency of each.
 
     Args:
-        volume: whose changes it takes.
         clean: whether specks are dropped.
     """
 

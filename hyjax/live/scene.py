@@ -77,8 +77,6 @@ class LiveScene:
         voxel: edge in metres.
         max_depth: metres.
         size: (height, width) that pictures are relit at; None as they come.
-        shadow_scale: see `SHADOW_SCALE`.
-        most_blocks: see `LiveVolume`.
         workers: threads that integrate; as many as processors if None.
     """
 
@@ -182,11 +180,7 @@ class LiveScene:
         return self._now().caster
 
     def frame(self, index: int | Frame) -> Frame:
-        """Frame at the size that pictures are relit at.
-
-        Raises:
-            InputError: a position is given, which frames that arrive do not have.
-        """
+        """Frame at the size that pictures are relit at."""
         if not isinstance(index, Frame):
             raise InputError(f"live: frames have no position, got {index}; give a frame")
         return fit(index, self.size)
@@ -268,7 +262,6 @@ def relight_live(
 
     Args:
         frames: in order of time.
-        lights: that they are relit with.
         configuration: see `Relighter`; the photo's light stays in the pictures, and a line in the log
             says which of its choices are not followed.
         scene: that the frames join; a new one if None.

@@ -33,11 +33,7 @@ class LiveSurface:
 
 
 class LiveShadowMaps:
-    """Shadow maps of lights on the surface as it is when they are asked for.
-
-    Args:
-        slack: see `ShadowMap`.
-    """
+    """Shadow maps of lights on the surface as it is when they are asked for."""
 
     def __init__(self, slack: float | None = None) -> None:
         self._slack = slack
@@ -50,10 +46,7 @@ class LiveShadowMaps:
         """Shadow map of a light on a surface; None if it casts no shadow.
 
         Args:
-            key: of the light's geometry.
-            light: any kind.
             surface: as it is now, or was when the picture was begun that the map is for.
-            scale, most_views: see `cast_shadow_maps`.
         """
         views = light.shadow_views()
         if views is None:

@@ -37,7 +37,6 @@ def live_frames(source: str, *, stop_after: float | None = None) -> Iterator[Fra
     """Frames from `-` (messages on stdin), `record3d` (a phone on USB) or a folder that grows.
 
     Args:
-        source: one of these.
         stop_after: end when a folder has not grown for so many seconds; None to look for ever.
     """
     if source == "-":
@@ -64,7 +63,6 @@ def folder_frames(folder: Path, *, stop_after: float | None = None) -> Iterator[
     pictures have the size of the 7-Scenes Kinect.
 
     Args:
-        folder: which programs may still write to.
         stop_after: end when it has not grown for so many seconds; None to look for ever.
     """
     last, done, most = -1, set[int](), MOST_FIRST_FRAMES

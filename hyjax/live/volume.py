@@ -49,7 +49,6 @@ class LiveVolume(Volume):
         voxel: edge in metres.
         truncation: half width of the band around the surface in metres; 4 voxels unless given.
         most_blocks: beyond so many the blocks that were seen longest ago are dropped.
-        tolerance: see `TOLERANCE`.
     """
 
     def __init__(

@@ -24,10 +24,6 @@ def as_pictures(
         channels: required number; None for any number.
         smallest: least height and width.
         pictures: display values by their names in messages.
-
-    Raises:
-        InputError: no H x W x C picture of floats, sizes or channels that do not fit, or (unless jax is tracing) a
-            value that is not a number or outside [0, 1] by more than `ROUND_OFF`.
     """
     shapes = {name: jnp.shape(picture) for name, picture in pictures.items()}
     for name, picture in pictures.items():

@@ -54,9 +54,7 @@ def random_crop(pair: Packed, size: int, rng: np.random.Generator, augment: bool
     smaller than the window is enlarged.
 
     Args:
-        pair: what to cut from.
         size: pixels.
-        rng: of where, how large, whether mirrored, and the colours.
         augment: whether to rescale, to mirror and to change colours.
     """
     height, width = pair.depth.shape

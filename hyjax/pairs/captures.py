@@ -35,10 +35,7 @@ class CapturePairs:
     """Pairs (`DepthPairs`) from the frames with depth of a capture.
 
     Args:
-        capture: with the frames.
         indices: of the frames to take; a surface is made of these alone.
-        depth: where it is from, see this module.
-        progress: show a bar on stderr while fusing.
     """
 
     unit: Unit = "metres"

@@ -22,10 +22,7 @@ class FilePairs:
     """Pairs (`DepthPairs`) of picture and depth map, in natural order of their names.
 
     Args:
-        path: of the folder, for name and fingerprint.
-        unit: of all depth maps.
         files: by name, a picture, its depth map, and further files that `read` needs.
-        read: depth from the files after the picture.
     """
 
     def __init__(self, path: Path, unit: Unit, files: Mapping[str, Files], read: Reader) -> None:

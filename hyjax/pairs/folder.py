@@ -17,12 +17,7 @@ STEPS = {"millimetres": 0.001, "centimetres": 0.01, "metres": 1.0, "tenths": 0.0
 
 
 def open_folder(path: Path, steps: str = "millimetres") -> FilePairs:
-    """Open a folder of pairs.
-
-    Args:
-        path: the folder.
-        steps: unit of the stored depth, a key of `STEPS`.
-    """
+    """Open a folder of pairs."""
     if steps not in STEPS:
         hint = did_you_mean(steps, STEPS)
         raise InputError(f"{path}: depth in unknown unit {steps!r}{hint}; use one of {', '.join(STEPS)}")

@@ -55,9 +55,7 @@ class GeneratedRooms:
         """Choose a row of rooms.
 
         Args:
-            seed: another seed, other rooms.
             size: of the square pictures in pixels.
-            views: pictures of each room.
             cached: keep finished rooms on disk, all views of a room at a time, for later epochs.
             cache_dir: where; None for `hyjax.util.cache.cache_folder()`.
         """

@@ -48,9 +48,7 @@ class PairLoader:
     Every source is gone through in a shuffled order, again and again, and sources take turns by weight.
 
     Args:
-        sources: of the pairs.
         size: side of the crops in pixels.
-        batch: crops a batch of this host.
         seed: of order, crops and colours.
         weights: how often each source is drawn from, in any unit; equally often if not given.
         shard: (index, count) of this host: it gets every count-th batch.

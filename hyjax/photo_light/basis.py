@@ -50,14 +50,7 @@ def make_basis(
     normal: Float[np.ndarray, "p 3"],
     sources: PhotoSources,
 ) -> Basis:
-    """Basis of all possible sources of a photo's light.
-
-    Args:
-        caster: the scan.
-        hits: see `Transport`.
-        position, normal: of the points.
-        sources: windows and lamps.
-    """
+    """Basis of all possible sources of a photo's light."""
     starts = position + OFFSET * normal
     columns: list[np.ndarray] = []
     neighbours: list[np.ndarray] = []

@@ -71,11 +71,6 @@ def fit_and_judge(
 ) -> "tuple[Float[np.ndarray, 'k 3'], Belief, Float[np.ndarray, 'n e']] | None":
     """Strengths of the sources fitted to all pairs, and the belief from fits that leave one fold out each.
 
-    Args:
-        problem: the fit to some pairs.
-        pairs: of vertices on one plane.
-        position: of the vertices.
-
     Returns:
         Strengths, belief, and for each pair the difference of log brightness that is left after the division by E
         to each of `EXPONENTS`, from the fit that left it out; None where there are too few pairs.
@@ -128,10 +123,6 @@ def flatness(
 
     Pairs of one block are alike, so the error is by leaving out one block at a time (jackknife). Source: Efron and
     Stein, "The jackknife estimate of variance", 1981.
-
-    Args:
-        left: of each pair's difference.
-        block: that a pair is in.
     """
     sums = np.stack([np.bincount(block, column) for column in left.T], axis=1)
     total, count = sums.sum(axis=0), len(sums)

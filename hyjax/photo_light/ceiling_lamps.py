@@ -54,14 +54,7 @@ def ceilings_of(caster: RayCaster, box: Box) -> Float[np.ndarray, "n"]:
 def ceiling_lamps(
     origins: Sequence[Vector], blobs: Sequence[Blob], up: Vector, heights: Float[np.ndarray, "n"]
 ) -> list[tuple[Vector, float]]:
-    """Places and radii of ceiling lamps on which at least two frames agree, those of most frames first.
-
-    Args:
-        origins: of the cameras, one for each sighting.
-        blobs: burnt-out blobs.
-        up: against gravity.
-        heights: of the ceiling along `up`, to be tried.
-    """
+    """Places and radii of ceiling lamps on which at least two frames agree, those of most frames first."""
     steep = [blob for blob in blobs if blob.direction @ up > LEAST_SLOPE]
     if len(steep) < FEWEST_FRAMES or not len(heights):
         return []

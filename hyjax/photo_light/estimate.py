@@ -96,11 +96,7 @@ def estimate_arrays(
     The fit is in `hyjax.photo_light.fit`.
 
     Args:
-        caster: the scan.
-        frames: of the capture, spread over it.
-        up: against gravity.
         sources: windows that the photo's light may have come through, and lamps that may have been lit.
-        progress: show a bar on stderr.
         closed: whether the box round the scan stands for the walls that were not scanned.
         rays: of these windows and this box, where `trace_scan` cast them before.
     """

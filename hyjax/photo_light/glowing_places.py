@@ -33,13 +33,7 @@ FEWEST_CELLS, MOST_LAMPS = 3, 3
 
 
 def glowing_places(caster: RayCaster, sightings: Sequence[Sighting], up: Vector) -> list[Vector]:
-    """Places, the largest first, of lamps of unknown form that burn out their surroundings in dark pictures.
-
-    Args:
-        caster: the scan.
-        sightings: of the pictures.
-        up: against gravity.
-    """
+    """Places, the largest first, of lamps of unknown form that burn out their surroundings in dark pictures."""
     if np.median([np.median(s.low) for s in sightings]) > DARK_PICTURE:
         return []
     axes = orthonormal_frame(up)

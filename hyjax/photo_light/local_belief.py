@@ -45,15 +45,7 @@ def local_divisor(
     belief: Belief,
     evidence: Evidence,
 ) -> Float[np.ndarray, "v 3"]:
-    """Light that the frames are divided by: the estimate as far as it is believed, here and there.
-
-    Args:
-        mesh: the scan.
-        normals: of its vertices.
-        log_light: logarithm of the estimate, brightness and hue apart.
-        belief: in the whole estimate.
-        evidence: for it.
-    """
+    """Light that the frames are divided by: the estimate as far as it is believed, here and there."""
     bright, hue = log_light
     if not belief.exponent or evidence is None:
         return np.ones_like(hue)
@@ -73,10 +65,7 @@ def local_exponents(
     """Exponent at each vertex: that of the whole scan unless another flattens its surroundings clearly more.
 
     Args:
-        vertices, normals: of the scan.
-        pairs: of vertices on one plane.
         errors: of each pair for each of `EXPONENTS`, held out from its fit.
-        exponent: that suits the whole scan.
     """
     from scipy.spatial import cKDTree  # SciPy is slow to load
 
@@ -105,9 +94,6 @@ def divisor_log(
 
     Args:
         log_light: log E, with the scan's mean at 0.
-        exponents: at the vertices.
-        exponent: that suits the whole scan.
-        vertices, normals, faces: of the scan.
     """
     from scipy import sparse
     from scipy.sparse.linalg import cg

@@ -48,12 +48,7 @@ def linear(display: Float[np.ndarray, "*s"]) -> Float[np.ndarray, "*s"]:
 
 
 def vertex_radiance(caster: RayCaster, frames: Iterable[Frame]) -> VertexRadiance:
-    """Radiance of all vertices: the mean of their frames, after evening out the exposures.
-
-    Args:
-        caster: the scan.
-        frames: of a capture, with their cameras.
-    """
+    """Radiance of all vertices: the mean of their frames, after evening out the exposures."""
     seen = [_sample(caster, frame) for frame in frames]
     count = len(caster.mesh.vertices)
     gains = _exposures(seen, count)

@@ -63,17 +63,7 @@ def search_sources(
 def find_photo_sources(
     capture: Capture, caster: RayCaster, frames: Sequence[Frame], *, file: Path | None = None
 ) -> PhotoSources:
-    """Windows and lamps of photographs: from a file, else from the capture's hints, else by search.
-
-    Args:
-        capture: its direction up and its anchors.
-        caster: its surface.
-        frames: to search, spread over the capture.
-        file: YAML or JSON, see the module.
-
-    Raises:
-        InputError: the file cannot be used.
-    """
+    """Windows and lamps of photographs: from a file, else from the capture's hints, else by search."""
     up = np.asarray(capture.up, float)
     if file is not None:
         return read_sources(file, up, caster, np.stack([frame.camera.origin for frame in frames]))

@@ -25,10 +25,6 @@ def relight_each(settings: RelightSettings) -> dict[Path, dict[str, Any]]:
 
     Returns:
         The folders, with the content of their `run.json`.
-
-    Raises:
-        InputError: what `relight_capture` refuses, no lights but ambient ones, light of the photos that is kept, or
-            a light's folder of an earlier run that this one would leave beside its own.
     """
     settings = dataclasses.replace(settings, each_light=True, exr=True).check()
     scene = Scene.open(settings.scene, progress=not settings.quiet)

@@ -24,9 +24,7 @@ def written_pictures(
     """Pictures to write of a frame, by kind; nothing else is kept until then.
 
     Args:
-        image: relit picture.
         relit: all stages; None where the settings ask for none.
-        settings: of the run.
     """
     pictures = {"relit": image}
     if relit is None:

@@ -180,11 +180,7 @@ def is_schedule_file(text: str) -> bool:
 
 
 def open_schedule(text: str, kappa: float | None = None) -> "Schedule":
-    """Schedule by name or from a file.
-
-    Raises:
-        InputError: no such schedule, a file that cannot be used, or a κ beside a file's own.
-    """
+    """Schedule by name or from a file."""
     from hyjax.core.schedule import Schedule
 
     if not is_schedule_file(text):

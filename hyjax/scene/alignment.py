@@ -55,13 +55,7 @@ _log = logging.getLogger(__name__)
 
 
 def aligned(capture: Capture, settings: FusionSettings, progress: bool = True) -> Capture:
-    """Align the poses of a capture; return it as it is where that is not wanted, not possible or no better.
-
-    Args:
-        capture: with depth.
-        settings: of its fusion; `align` among them.
-        progress: show bars on stderr.
-    """
+    """Align the poses of a capture; return it as it is where that is not wanted, not possible or no better."""
     wanted = settings.align == "yes" or (settings.align == "auto" and capture.sensor == PHONE_LIDAR)
     if not wanted or isinstance(capture, AlignedCapture):
         return capture
@@ -146,8 +140,6 @@ def smoothed(
     """Motions smoothed along their order by a Gaussian; shifts are those of the places `origins`.
 
     Args:
-        motions: small ones.
-        origins: of the cameras that they move.
         width: standard deviation, in motions of the whole fusion, of which these are every other.
     """
     from scipy import ndimage  # SciPy is slow to load
@@ -183,8 +175,6 @@ def agreements(
     """Agreement of each pair of neighbouring pictures by the poses of each capture; pairs that all can tell.
 
     Args:
-        pictures: by their positions.
-        captures: of these pictures, with other poses.
         far: metres beyond which no reading counts.
     """
     pairs = []
@@ -200,7 +190,6 @@ class AlignedCapture(DerivedCapture):
     """Capture with corrected poses.
 
     Args:
-        capture: as it was.
         indices: of the depth maps whose corrections are known, ascending.
         corrections: motions of the world that correct their poses; between them they are interpolated.
     """

@@ -96,9 +96,6 @@ class BlenderRenderer:
         lights: at least one, of any kinds.
         shadows: whether lights cast shadows; without, `visibility` is 1 and costs nothing.
         samples: rays per pixel to a light with an extent. A light without needs one, and is exact.
-
-    Raises:
-        InputError: no lights, no Blender (see `blender_python`), or Blender did not start.
     """
 
     def __init__(
@@ -151,11 +148,7 @@ class BlenderRenderer:
         self._stack.close()
 
     def render(self, camera: Camera) -> Rendering:
-        """Render the view of a camera.
-
-        Raises:
-            InputError: Blender gave up.
-        """
+        """Render the view of a camera."""
         pictures = [
             picture
             for place, emitter in enumerate(self._emitters)

@@ -52,13 +52,6 @@ def exposed(
     """Set-up with the reference illuminance, and the ambient light, of an exposure.
 
     Dimmer where lights would burn the pictures out.
-
-    Args:
-        setup: lights.
-        lux: of each light on the visible surface.
-        seen: visible surface.
-        exposure: of the set-up.
-        response: of the place.
     """
     near, parallel = kinds_of(setup.lights)
     usual, exposure = exposure.share, exposure.lifted(response.brightness)
@@ -96,13 +89,7 @@ def exposed(
 
 
 def _least_unburnt(light: Float[np.ndarray, "n"], seen: SeenSurface, response: Response) -> float:
-    """Least reference by which no picture burns out beside the sun: white walls take less light than dark floors.
-
-    Args:
-        light: illuminance but for that of parallel lights.
-        seen: visible surface.
-        response: of the place.
-    """
+    """Least reference by which nothing burns out beside the sun: white walls take less light than dark floors."""
     if response.photo_value is None:
         return 0.0
     photo = seen.of_cameras(response.photo_value, 1.0 - MOST_BURNT)
@@ -122,13 +109,6 @@ def _least_ambient(
 
     Lights leave it darker than told where they light a small part of what is seen and would burn that out, and
     where bounces give little, as in a room that was scanned in small part.
-
-    Args:
-        setup: lights.
-        direct, bounced: light over the reference.
-        seen: visible surface.
-        exposure: of the set-up.
-        response: of the place.
     """
     color = float(np.mean([light.color for light in setup.lights if light.UNIFORM] or 1.0))
     least = exposure.ambient * response.filled_share

@@ -67,8 +67,6 @@ class Readings:
     """Chosen depth maps of a capture, read on demand; damaged ones are left out with a line.
 
     Args:
-        capture: with depth.
-        indices: of the depth maps.
         confidence: least confidence of a reading.
     """
 
@@ -133,10 +131,7 @@ def fuse_capture(
     """Fuse a capture's depth maps to a mesh.
 
     Args:
-        capture: with depth.
-        plan: see `plan_fusion`.
         checkpoint: file of a long fusion's state, from which a later call continues.
-        progress: show a bar on stderr.
     """
     frames = Readings(capture, plan.indices, plan.confidence)
     return fuse(

@@ -131,12 +131,7 @@ class Inspection:
 
 
 def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
-    """Inspect a capture; a dozen of its pictures and depth maps are read.
-
-    Args:
-        capture: any.
-        progress: show a bar on stderr.
-    """
+    """Inspect a capture; a dozen of its pictures and depth maps are read."""
     doubts = list(capture.faults)
     sizes, exposures, times, shown = [], [], [], []
     samples = spread(range(len(capture)), SAMPLE_COUNT)

@@ -28,8 +28,6 @@ class KeptMaps:
 
         Args:
             kind: of the maps; those of other kinds are not taken.
-            lights: of which they are.
-            cast: makes maps of lights.
         """
         keys = tuple(geometry_key(light) for light in lights)
         with self._lock:

@@ -108,8 +108,6 @@ def survey(
     """Find places for lights.
 
     Args:
-        caster: the captured surface.
-        cameras: a few, spread over the capture.
         up: unit vector against gravity.
         anchors: places the capture knows: `window_0`, `window_1`, … with center, normal, width, height, and
             `lamp_0`, `lamp_1`, … with position. What is missing is made up.
@@ -137,8 +135,6 @@ def survey_capture(caster: RayCaster, capture: Capture, anchors: Mapping[str, An
     """Survey with cameras from the whole capture, so that any choice of its frames is lit alike.
 
     Args:
-        caster: the captured surface.
-        capture: its cameras, and places that it knows.
         anchors: places that are known in the place of the capture's own.
     """
     cameras = [capture.camera(i) for i in range(0, len(capture), -(-len(capture) // SURVEY_CAMERAS))]

@@ -65,13 +65,7 @@ def assumed_response(lights: Sequence[Light], lux: Float[np.ndarray, "n l"], see
 
 
 def measured_response(lights: Sequence[Light], seen: SeenSurface, photo: PhotoLight) -> Response:
-    """Response of a place whose photo's light was estimated, by its own bounces.
-
-    Args:
-        lights: of the set-up.
-        seen: visible surface.
-        photo: light of the photo.
-    """
+    """Response of a place whose photo's light was estimated, by its own bounces."""
     whole, albedo = photo.transport, np.asarray(photo.albedo).mean(axis=1, keepdims=True)
     position, normal = np.asarray(whole.position, float), np.asarray(whole.normal, float)
     nowhere = np.zeros(len(position), int)

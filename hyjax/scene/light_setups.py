@@ -118,8 +118,6 @@ def named_setup(name: str, anchors: LightAnchors, photo: PhotoLight | None = Non
     """Place one of `SETUPS` in a room and expose it; a light that reaches no visible surface is logged.
 
     Args:
-        name: of the set-up.
-        anchors: places for its lights.
         photo: light of the photos where it is divided out; None where it is kept.
     """
     check_setup_name(name)
@@ -169,7 +167,6 @@ def _sun(
     """Parallel light through the windows, from where it falls into many pictures.
 
     Args:
-        anchors: windows, and the visible surface.
         elevations: degrees above the horizon: the usual, the least and the most.
         illuminance: in lux.
         color: linear RGB.

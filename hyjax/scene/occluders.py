@@ -65,10 +65,8 @@ def fine_detail(capture: Capture, source: str | None, seed: int = 0, progress: b
     """Finer surface of a place from its mesh's depth maps; None where there are none.
 
     Args:
-        capture: of the place.
         source: its mesh, as `surface_of` takes it. That of a file, or a fusion, has all the detail that there is.
         seed: of a simulated scan, whose depth maps are taken again, errors and all.
-        progress: show a bar on stderr.
     """
     if source is None:
         source = "scan" if capture.has_reference else "captured"

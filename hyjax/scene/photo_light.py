@@ -48,12 +48,8 @@ class ScenePhotoLight:
     """Photo's own light of a scene's frames, computed on demand.
 
     Args:
-        capture: frames with poses.
-        caster: its surface.
-        frame: reads a frame.
         size: (height, width) that it reads them at; None as captured.
         sources_file: names the windows and lamps that lit the frames; None to find them.
-        progress: show bars on stderr.
     """
 
     def __init__(
@@ -75,11 +71,7 @@ class ScenePhotoLight:
 
     @property
     def sources(self) -> PhotoSources:
-        """Windows and lamps that lit the frames.
-
-        Raises:
-            InputError: the file that names them cannot be used.
-        """
+        """Windows and lamps that lit the frames."""
 
         def found() -> Arrays:
             from hyjax.photo_light.source_search import find_photo_sources  # slow to load
@@ -113,23 +105,14 @@ class ScenePhotoLight:
 
     @functools.cached_property
     def estimate(self) -> Estimate:
-        """Estimate of the light.
-
-        Raises:
-            InputError: the file that names its sources cannot be used.
-        """
+        """Estimate of the light."""
         found = self._stored[0]
         if found.exponent == 0:
             _log.warning("%s: %s", self._capture.name, self.summary(found))
         return found
 
     def surface_light(self, setup: LightSetup, shadow_maps: Sequence[ShadowMap | None] | None) -> SurfaceLight:
-        """Photo's light and the bounces of new lights on the vertices, with a cache of the last set-up.
-
-        Args:
-            setup: new lights.
-            shadow_maps: one for each; None for no shadows.
-        """
+        """Photo's light and the bounces of new lights on the vertices, with a cache of the last set-up."""
         last = self._last
         if last is not None and last[1] is shadow_maps and same_setup(last[0], setup):
             return last[2]
@@ -173,11 +156,7 @@ class ScenePhotoLight:
         return f"the photos have no source {', '.join(wrong)}; there are {', '.join(names)}" if wrong else None
 
     def kept(self, existing: Mapping[str, Sequence[float]]) -> Float[np.ndarray, "s 3"]:
-        """Remaining factor of each source of the photo.
-
-        Raises:
-            InputError: there is no source of a name.
-        """
+        """Remaining factor of each source of the photo."""
         if unknown := self.unknown(existing):
             raise InputError(f"existing: {unknown}")
         return np.array([existing.get(name, (0.0, 0.0, 0.0)) for name in self.estimate.names])

@@ -39,11 +39,7 @@ class SeenSurface:
     def of(
         cls, caster: RayCaster, cameras: Sequence[Camera], most: int = 8
     ) -> "tuple[SeenSurface, Float[np.ndarray, 'c 3']]":
-        """Surface seen by at most `most` of the cameras, and the positions of these cameras.
-
-        Raises:
-            InputError: no camera sees any surface.
-        """
+        """Surface seen by at most `most` of the cameras, and the positions of these cameras."""
         chosen, points, normals, faces = spread(cameras, most), [], [], []
         for camera in chosen:
             small = camera.intrinsics.resize(24, 32)

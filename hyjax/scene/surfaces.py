@@ -43,22 +43,14 @@ def surface_of(
     Warnings follow if it covers little of the measured depth, or lies elsewhere.
 
     Args:
-        capture: of the place.
         mesh: a file, or `"captured"` (that came with the capture), `"fused"` (from the depth maps), `"scan"` (a
             simulated headset scan, rough and with holes, drawn from `seed`), `"true"` (the built-in room's
             own). By default the built-in room gets its scan, and any other capture its own mesh, or else its
             fusion; its fusion, too, where that has clearly more of the measured depth.
-        fusion: settings of the fusion of depth maps.
-        seed: of a simulated scan.
         repair: drop unusable triangles of a mesh file instead of refusing it.
-        progress: show bars on stderr.
 
     Returns:
         Name of the chosen mesh, in a few words, and the mesh.
-
-    Raises:
-        InputError: the file cannot be used, the capture has no depth to make a mesh of, or there is no captured or
-            true mesh.
     """
     source, arrays = surface_arrays(capture, mesh, fusion=fusion, seed=seed, repair=repair, progress=progress)
     return source, arrays.mesh

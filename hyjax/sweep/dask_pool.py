@@ -54,14 +54,7 @@ ours, and no memory of messages, which hold all tasks."""
 
 
 class DaskPool:
-    """Pool of a Dask scheduler's workers; see `hyjax.sweep.engine.Pool`.
-
-    Args:
-        client: of the scheduler.
-        stack: resources to close at the end.
-        tell: prints a line for the user.
-        address: of a scheduler that is not our own.
-    """
+    """Pool of a Dask scheduler's workers; see `hyjax.sweep.engine.Pool`."""
 
     def __init__(self, client: Any, stack: contextlib.ExitStack, tell: Tell, address: str | None) -> None:
         self._client, self._stack, self._tell, self._address = client, stack, tell, address
@@ -71,11 +64,7 @@ class DaskPool:
 
     @classmethod
     def open(cls, workers: int | None, scheduler: str | None, folder: Path, tell: Tell) -> "DaskPool":
-        """Open workers on this machine or of a scheduler; see `Engine.open`.
-
-        Raises:
-            InputError: they cannot be reached, or do not see the folder.
-        """
+        """Open workers on this machine or of a scheduler; see `Engine.open`."""
         with contextlib.ExitStack() as stack:
             stack.enter_context(dask.config.set(CONFIG if scheduler is None else {"logging": CONFIG["logging"]}))
             from distributed import Client

@@ -19,11 +19,7 @@ class Dispatch:
     """Dispatch of tasks without a result in the store, each until it has a row.
 
     Args:
-        function: see `hyjax.sweep.batch.name_of`.
         tasks: each key is done once; tasks with a result are skipped.
-        driver: identity of this run.
-        store: rows so far.
-        alone: whether every batch is one task.
     """
 
     def __init__(
@@ -49,12 +45,7 @@ class Dispatch:
         return True
 
     def next_batch(self, places: int, under_way: int) -> TaskBatch | None:
-        """Next batch, None if there is none to give out now.
-
-        Args:
-            places: number of batches under way at a time.
-            under_way: number of batches under way.
-        """
+        """Next batch, None if there is none to give out now."""
         if (self._suspects or self._is_suspect) and under_way:
             return None  # a worker that dies takes along all batches that it was given
         self._is_suspect = bool(self._suspects)

@@ -37,11 +37,6 @@ class Engine:
 
     A task that raises `InputError` has a row of kind "error". One that raises anything else, or takes its worker
     along, is retried three times before it has one. Tasks with an error are done again by the next engine.
-
-    Args:
-        folder: for the rows; all workers see it.
-        pool: of workers.
-        tell: prints a line for the user.
     """
 
     def __init__(self, folder: Path, pool: Pool, tell: Tell) -> None:
@@ -62,11 +57,7 @@ class Engine:
             workers: processes on this machine; 0 for this process alone, None for one each core.
             scheduler: address of a Dask scheduler in their place. Its workers see the folder by the same name, and
                 have one thread each; timing tasks go to those that were started with `--resources device=1`.
-            folder: for the rows.
             tell: prints a line for the user; by default on stderr.
-
-        Raises:
-            InputError: a wrong number, no such scheduler or folder, or Dask is not installed.
         """
         if workers is not None and workers < 0:
             raise InputError(f"workers: must be >= 0, got {workers}")
@@ -103,11 +94,7 @@ class Engine:
 
         Args:
             function: payload → result, at the top of a module that workers can import.
-            tasks: read as they are needed.
             timing: one task at a time, on a worker that has the device, and nothing else meanwhile.
-
-        Raises:
-            InputError: rows cannot be written, or there are no workers any more. What was written is kept.
         """
         if not self._busy.acquire(blocking=False):
             raise RuntimeError("the engine runs other tasks; timing must not share the device")

@@ -54,16 +54,7 @@ class SweepResult:
 def run_sweep(
     settings: SweepSettings, *, evaluate: Function = work.evaluate, time_frames: Function = work.time_frames
 ) -> SweepResult:
-    """Run the tasks of a sweep without a result, and write `rows.jsonl`, `summary.csv` and `sweep.png`.
-
-    Args:
-        settings: of the sweep.
-        evaluate, time_frames: functions of the tasks, see `hyjax.tuning.evaluation`.
-
-    Raises:
-        InputError: a spec or settings that cannot be used, a folder with rows where `resume` is not set, no
-            workers, or a full disk; the rows so far are kept.
-    """
+    """Run the tasks of a sweep without a result, and write `rows.jsonl`, `summary.csv` and `sweep.png`."""
     settings.check()
     optional_module("matplotlib", "tune", "sweep")
     spec, out, part = read_spec(settings.spec), settings.out, settings.part

@@ -83,12 +83,7 @@ class Spec(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 def read_spec(path: Path) -> Spec:
-    """Read a spec; files in it get absolute paths.
-
-    Raises:
-        InputError: no such file, neither YAML nor JSON, an unknown key (the nearest right one is named), a missing
-            key, a value of the wrong form, or a room, set-up or file that does not exist.
-    """
+    """Read a spec; files in it get absolute paths."""
     where = str(path)
     content = read_yaml(path)
     check_keys(where, content, list(FORMS), ["scenes", "lights", "configurations"])

@@ -73,11 +73,8 @@ class Arrangement:
         coarse: whether shadows of a light were coarse.
 
     Args:
-        scene: the surface.
-        plan: what is set up.
         caches: shared by the pictures of a tour.
         photo: the photo's own light; None if that stays in the pictures.
-        configuration: of the picture.
         draft: whether coarse shadow maps will do for lights that have just moved.
         cancelled: asked before each view of a shadow map that must be cast; if true, `RenderCancelled` is raised.
     """
@@ -146,9 +143,7 @@ class Arrangement:
         """Shadow maps of lights; coarse ones in a draft, where there are no fine ones yet.
 
         Args:
-            lights: a set-up, or lights.
             occluders: those of the parts throw them, whatever is asked.
-            scale, most_views: see `cast_shadow_maps`.
         """
         size = scale, most_views
         usable = LightSetup.of(lights).lights
@@ -179,15 +174,7 @@ class Arrangement:
         camera: Camera,
         light: SurfaceLight | None,
     ) -> tuple[View, Shaded]:
-        """Light on a frame; with the first arguments given, a `Shader`.
-
-        Args:
-            frame: its number.
-            guide: of the diffusion.
-            setup: the lights.
-            view, camera: of the frame.
-            light: of the surface.
-        """
+        """Light on a frame; with the first arguments given, a `Shader`."""
         sampling = self._sampling
         key = frame, sampling
         samples = self._caches.frames(
@@ -209,14 +196,7 @@ class Arrangement:
     def shade_samples(
         self, samples: GBuffer, setup: LightSetup, light: SurfaceLight | None, key: Hashable = None
     ) -> Shaded:
-        """Direct and bounced light on surface points.
-
-        Args:
-            samples: the points.
-            setup: the lights.
-            light: of the surface.
-            key: of the points, under which the light of each lamp is kept; None for not at all.
-        """
+        """Direct and bounced light on surface points."""
         bounces = light is not None and light.bounced is not None
         uniform = [lamp for lamp in setup.lights if lamp.UNIFORM]
         # Bounces stand in the place of lights that fall on any surface alike, unless there are no others.

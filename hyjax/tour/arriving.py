@@ -29,8 +29,6 @@ class Arriving:
             forgotten for it.
 
     Args:
-        scene: that the frames join.
-        source: see `live_frames`, or the frames themselves.
         size: (height, width) that is worked at; None as they come, but no wider than `widest`.
         widest: pixels.
     """

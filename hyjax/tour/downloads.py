@@ -29,13 +29,7 @@ DOWNLOADS = ("png", "exr", "lights", "mesh", "video")
 
 
 class Downloads:
-    """Files of a tour.
-
-    Args:
-        renderer: renders the pictures.
-        out: folder that they are written to.
-        queue: renders videos while nothing else needs the machine.
-    """
+    """Files of a tour."""
 
     def __init__(self, renderer: Renderer, out: Path, queue: RenderQueue) -> None:
         self._renderer, self._out, self._queue = renderer, out, queue
@@ -96,7 +90,6 @@ def write_video(renderer: Renderer, plan: TourPlan, viewpoint: Viewpoint, file: 
 
     Args:
         renderer, plan, viewpoint: as for `Renderer.render`; of the viewpoint, all but its frame and camera.
-        file: to write.
     """
     with atomic_write(file) as temporary, new_video(temporary) as container:
         height, width = renderer.frame(0).camera.intrinsics.shape

@@ -69,9 +69,6 @@ class EditableScene:
     """A surface, and the pieces it falls into.
 
     Args:
-        mesh: the surface, in the capture's world coordinates.
-        up: against gravity.
-        folder: where uploaded mesh files lie.
         occluders: what throws the shadows of the room as it was scanned; the surface if None. Once a piece of the
             scan has been taken out, its parts with their holes closed throw them.
         slack: of shadow maps, see `hyjax.light.shadow_map.ShadowMap`; None if the surface throws its own shadows.

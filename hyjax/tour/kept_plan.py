@@ -24,13 +24,6 @@ class KeptPlan:
     Attributes:
         plan: never changed, only replaced.
         notices: what was left out of the file.
-
-    Args:
-        renderer: of the tour.
-        out: its folder.
-
-    Raises:
-        InputError: nothing can be written there, or there is a file that holds no plan.
     """
 
     def __init__(self, renderer: Renderer, out: Path) -> None:

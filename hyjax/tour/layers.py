@@ -124,10 +124,7 @@ def stack_layers(
     """Direct light, with channels of no light up to a multiple of `CHANNELS`.
 
     Args:
-        layers: lights with their layers.
-        uniform: lights that fall on any surface alike.
         hit: where there is a surface.
-        reference_lux: of the set-up.
     """
     count = round_up(len(layers))
     strengths, colors = np.zeros(count, np.float32), np.ones((count, 3), np.float32)
@@ -163,7 +160,6 @@ def add_bounces(
     Args:
         bounced: lights, each with its own if it were white and of strength 1.
         least: illuminance that they are filled up to.
-        points: number of them.
     """
     count = round_up(max(len(bounced), 1))
     scales = np.zeros((count, 3), np.float32)

@@ -35,7 +35,6 @@ class LiveCapture(Capture):
 
     Args:
         up: unit vector against gravity.
-        most: see `MOST_KEPT_FRAMES`.
     """
 
     name, fingerprint = "live", "live"
@@ -72,9 +71,6 @@ class LiveRenderer(Renderer):
         """Expose plans for the surface as it is now, as often as twice as many frames have arrived.
 
         While no camera sees the surface, the exposure stays as it was.
-
-        Raises:
-            InputError: no camera sees the surface, and there is no exposure.
         """
         assert isinstance(self.capture, LiveCapture)
         if self.capture.arrived < 2 * self._exposed:

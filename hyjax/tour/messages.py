@@ -107,11 +107,7 @@ def number_of(text: str | bytes) -> int | None:
 
 
 def read_message(text: str | bytes) -> Message:
-    """A message, checked.
-
-    Raises:
-        InputError: it is none, or the plan is not valid.
-    """
+    """A message, checked."""
     try:
         message = msgspec.json.decode(text, type=Message)
     except msgspec.MsgspecError as error:

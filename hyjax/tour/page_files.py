@@ -39,10 +39,7 @@ class PageFiles:
     """Files of the page, made when they are first asked for.
 
     Args:
-        renderer: of the tour.
         schedules: to choose from, by name.
-        engine: see `TourSettings`.
-        notices: what visitors are told when they come.
     """
 
     def __init__(
@@ -53,12 +50,7 @@ class PageFiles:
         self._lock = threading.Lock()
 
     def get(self, path: str, plan: TourPlan) -> tuple[bytes, str] | None:
-        """Content and media type of a file; None if there is none of that name.
-
-        Args:
-            path: without a leading slash.
-            plan: that a new visitor begins with.
-        """
+        """Content and media type of a file; None if there is none of that name."""
         name = path or "index.html"
         if name in self._scripts:
             return self._scripts[name], mimetypes.guess_type(name)[0] or "application/octet-stream"

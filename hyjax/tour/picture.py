@@ -63,11 +63,7 @@ def shown_stage(
     """The stage that is shown.
 
     Args:
-        shown: its name; not the photo.
-        frame: of the capture.
-        lit: before its refinement.
         result: after it; the picture alone will do for what is not among `COMPARED_STAGES`.
-        schedule: of the diffusion, whose conductances may be shown.
     """
     if isinstance(result, Relit):
         if shown == "raw filter":  # with its shadows, as an unrefined renderer shows it

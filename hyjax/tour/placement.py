@@ -73,10 +73,7 @@ def draw_window(
     stands before them.
 
     Args:
-        origin: where it is drawn from.
         corners: rays through its corners, in any order.
-        points, normals: the surface in the rectangle; may be none.
-        up: against gravity, world axes.
     """
     walls = [place_window(point, normal, up) for point, normal in zip(points, normals, strict=True)]
     if not walls:

@@ -172,11 +172,7 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @classmethod
     def from_json(cls, text: str) -> "TourPlan":
-        """Plan of the text that `to_json` writes.
-
-        Raises:
-            InputError: not JSON, an unknown key, or anything `check` refuses.
-        """
+        """Plan of the text that `to_json` writes."""
         plan = _converted(parse_json(text, "plan"))
         plan._check_geometry()
         return plan

@@ -54,7 +54,6 @@ class RenderQueue:
         """Request new pictures for these viewers.
 
         Args:
-            viewers: whose pictures are out of date.
             interactive: whether a person has changed something. If only time has passed, as with a flickering
                 candle, drafts are still rendered finely.
         """

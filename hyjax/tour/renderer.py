@@ -88,11 +88,8 @@ class Renderer:
 
     Args:
         place: surface, and frames unless they are given.
-        capture: frames.
-        folder: where uploaded mesh files lie.
         keep_photo_light: whether to leave the light that the frames were taken under in the pictures, and bounces
             out.
-        configuration: of the pictures, but for their schedule.
     """
 
     live = False
@@ -197,14 +194,10 @@ class Renderer:
         """Render a plan from a viewpoint.
 
         Args:
-            plan: what is set up.
-            viewpoint: frame, stage and schedule.
             draft: whether coarse shadow maps will do for lights that have just moved.
-            seconds: time that has passed, for what flickers.
             cancelled: asked before each view of a shadow map that must be cast; true ends the rendering.
 
         Raises:
-            InputError: a frame or mesh file cannot be read.
             RenderCancelled: it was cancelled. What has been cast so far is kept.
         """
         if viewpoint.camera is not None:

@@ -68,10 +68,8 @@ def sky_at(day: datetime.date, hour: float, latitude: float, weather: Weather) -
     moon: it stands opposite the sun, at least `LOWEST_MOON` above the horizon.
 
     Args:
-        day: date.
         hour: local mean solar time in [0, 24].
         latitude: degrees, north positive.
-        weather: one of `Weather`.
     """
     if weather not in get_args(Weather):
         raise InputError(f"weather: {weather!r} is unknown; use one of {', '.join(get_args(Weather))}")

@@ -50,11 +50,8 @@ class Tour:
         arriving: frames that arrive; None unless the tour is live.
 
     Args:
-        renderer: renders the pictures.
         schedules: to choose from, by name; the first is the default.
         out: folder that exports and the plan are written to, and nothing else is.
-        engine: see `TourSettings`.
-        host, port: where to listen.
     """
 
     def __init__(
@@ -83,11 +80,7 @@ class Tour:
 
     @classmethod
     def open(cls, settings: TourSettings) -> "Tour":
-        """Open a scene and serve its tour.
-
-        Raises:
-            InputError: the scene cannot be opened, or anything that the class refuses.
-        """
+        """Open a scene and serve its tour."""
         # All that can be checked is checked before the first slow step.
         settings.check()
         check_port(settings.host, settings.port)

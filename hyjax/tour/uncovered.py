@@ -56,10 +56,7 @@ def extend_planes(
     """Surface whose holes, where they are chosen, show the nearest of some planes.
 
     Args:
-        now: surface of the room.
         chosen: pixels.
-        camera: that sees it.
-        planes: of the room.
     """
     holes = chosen & ~np.asarray(now.hit)
     if not planes or not holes.any():
@@ -127,8 +124,6 @@ def seen_elsewhere(
     """Linear colours of points of the scan in the frames that see them best, and whether any does.
 
     Args:
-        points, normals: of the scan; normals may face either way.
-        cameras: of frames, by their numbers.
         source: a frame by its number; None if it cannot be read, and the next is taken.
     """
     total, weight = np.zeros((len(points), 3)), np.zeros(len(points))

@@ -32,11 +32,7 @@ class Uploads:
         self._parts: dict[Hashable, bytearray] = {}
 
     def take(self, visitor: Hashable, message: Message) -> dict[str, Any]:
-        """Take one more part; with the last, the piece of furniture that the file is.
-
-        Raises:
-            InputError: it is too large, or no mesh in metres. What had arrived of it is dropped.
-        """
+        """Take one more part; with the last, the piece of furniture that the file is."""
         with self._lock:
             parts = self._parts.pop(visitor, bytearray())
             size = len(parts) + len(message.part) + message.rest

@@ -24,12 +24,6 @@ class Visitor:
 
     Attributes:
         message: the newest that asks for a picture; None before the first.
-
-    Args:
-        wire: the connection.
-        requested: called when there is a new message that asks for a picture, with the one before it; None if
-            there was none.
-        answer: makes the answer to any other message, on another thread; None for none.
     """
 
     def __init__(

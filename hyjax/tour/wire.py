@@ -37,11 +37,6 @@ class Wire:
 
     Args:
         host, port: where to listen; port 0 for any free one.
-        files: content and media type of a path, called on other threads; None if there is no such file.
-        visit: runs for as long as a visitor is there.
-
-    Raises:
-        InputError: the port cannot be listened at.
     """
 
     def __init__(

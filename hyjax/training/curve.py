@@ -13,12 +13,7 @@ SMOOTHING = 50
 
 
 def draw_curve(path: Path, lines: Sequence[dict[str, Any]]) -> None:
-    """Write losses over iterations as a PNG.
-
-    Args:
-        path: the picture.
-        lines: of a run's `log.jsonl`.
-    """
+    """Write losses over iterations as a PNG."""
     from matplotlib.figure import Figure
 
     updates = [line for line in lines if "loss" in line]

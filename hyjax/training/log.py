@@ -19,8 +19,6 @@ class TrainingLog:
     """Lines of a training run, in memory and in `log.jsonl`.
 
     Args:
-        folder: of the run.
-        settings: written to `settings.json` by `open`.
         resume: whether to go on with the run that is there.
     """
 
@@ -48,7 +46,6 @@ class TrainingLog:
 
         Args:
             start: iteration of the checkpoint.
-            record: versions and data, kept in `settings.json` with the settings.
             write: whether this host is the one that writes.
         """
         lines = [line for line in self.lines if line["iteration"] <= start]

@@ -67,7 +67,6 @@ class Updater:
     """Updater of one network under one set of settings, with batches spread over all devices of all hosts.
 
     Args:
-        settings: see there.
         started: whether a state will be restored, so that there is no need of weights to start from.
     """
 

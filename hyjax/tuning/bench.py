@@ -28,11 +28,8 @@ class Workbench:
     """A scene under lights, with the accurate surface that its pictures should look like.
 
     Args:
-        scene: a capture on its rough mesh.
         accurate: the same capture on the mesh that the target is shaded from; None to aim at the converged
             diffusion on the rough one.
-        lights: a set-up.
-        guide: what makes the guide of a frame.
     """
 
     def __init__(self, scene: Scene, accurate: Scene | None, lights: LightSetup, guide: FrameGuide = RGB) -> None:
@@ -67,11 +64,7 @@ class Workbench:
         return dataclasses.replace(case, target=target, valid=truth.hit)
 
     def cases(self, indices: Sequence[int], what: str, progress: bool = True) -> tuple[list[Case], list[str]]:
-        """The frames that make cases, and the names of those that see no surface.
-
-        Raises:
-            InputError: a frame cannot be read, or none sees any surface.
-        """
+        """The frames that make cases, and the names of those that see no surface."""
         cases, blind = [], []
         for index in tqdm(indices, desc=f"{what} frames", unit="frame", disable=not progress):
             case = self.case(index)

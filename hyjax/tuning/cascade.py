@@ -68,11 +68,7 @@ class CascadeStage(Stage):
     """The diffusion alone.
 
     Args:
-        bench: the capture, its meshes and lights.
-        settings: of the run.
-        frames: indices to tune on.
         holdout: indices that are only reported on.
-        latency: of another device, in the place of this machine's.
     """
 
     name: BudgetStage = "cascade"

@@ -126,7 +126,6 @@ class FrameClock:
         """Times of configurations in turns with the default.
 
         Args:
-            configurations: each.
             repeats: frames of each, after as many that warm up as there are frames.
             most_seconds: begin no further round after so long a time, if each has run ten times by then.
         """

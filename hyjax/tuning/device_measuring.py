@@ -197,13 +197,7 @@ class Measuring:
 
 
 class ConnectedDevice:
-    """A device whose page is open, or will be.
-
-    Args:
-        host: address to listen at, see `Server`.
-        port: likewise.
-        say: takes lines for the terminal.
-    """
+    """A device whose page is open, or will be."""
 
     def __init__(self, host: str, port: int, say: Callable[[str], None]) -> None:
         self.say, self.site = say, Measuring(say)

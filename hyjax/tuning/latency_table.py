@@ -37,11 +37,7 @@ class LatencyTable:
 
     @classmethod
     def of(cls, latency: DeviceLatency) -> "LatencyTable":
-        """Table of the times of a device.
-
-        Raises:
-            InputError: a factor is missing among the schedules of the searched form.
-        """
+        """Table of the times of a device."""
         factors = factors_for(latency.workload.height, latency.workload.width)
         own = [
             timed

@@ -39,11 +39,7 @@ class PictureLoss:
 
     @classmethod
     def of(cls, perceptual: float = 0.0) -> "PictureLoss":
-        """Loss with LPIPS at this weight.
-
-        Raises:
-            InputError: the weight is negative or not finite, or there are no weights of the network.
-        """
+        """Loss with LPIPS at this weight."""
         LossWeights(perceptual=perceptual)
         return cls(perceptual, load_lpips() if perceptual else None)
 

@@ -10,12 +10,7 @@ from hyjax.util.clock import Stopwatch
 
 
 class RunMonitor:
-    """Time limit and progress bar of a run.
-
-    Args:
-        limit: seconds that it may take; None for no limit.
-        progress: show a bar on stderr.
-    """
+    """Time limit and progress bar of a run."""
 
     def __init__(self, limit: float | None, progress: bool) -> None:
         self.clock, self.limit, self.progress = Stopwatch(), limit, progress

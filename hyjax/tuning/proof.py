@@ -35,9 +35,7 @@ def prove(
     """Configurations with times in turns, and scores on all cases.
 
     Args:
-        configurations: each.
         stage: that they are of: its cases, and those held out, its judge and its clock.
-        progress: show a bar on stderr.
         done: called after each configuration.
     """
     times = stage.clock.times(configurations, ROUNDS, most_seconds=MOST_SECONDS * len(configurations))

@@ -105,11 +105,7 @@ def relaxed_choices(
     Looked at are the end of a relaxed descent, and neighbours of the start that the gradient there promises.
 
     Args:
-        choices: to start from.
-        space: of them.
-        judge: of the cases' scenes.
         cases: one of them is looked at in each iteration.
-        price: of steps.
         room: time, over the default's frame's, that the cascade may take beyond its own; infinite for no budget.
         seed: of the order of frames.
         expired: asked before each iteration.
@@ -147,11 +143,6 @@ def relaxed_points(
     """Points of whole steps within a budget, the best first, with the start, cut down to the budget, among them.
 
     Args:
-        objective: what is minimised.
-        start: point of whole steps.
-        cost: of steps.
-        budget: that the cost is kept within.
-        iterations: of the relaxed descent.
         looked_at: whole steps around the start, and around the end of the descent, of which the loss is computed.
         seed: of the order of frames.
         expired: asked before each iteration.

@@ -32,7 +32,6 @@ def numbers_of(configuration: Configuration, *, levels: bool) -> Numbers:
     """Numbers of a configuration.
 
     Args:
-        configuration: any.
         levels: κ, λ and α of each level instead of their geometric means.
     """
     schedule, shadow, light = configuration.schedule, configuration.shadow_schedule, configuration.light
@@ -91,11 +90,8 @@ def refine_numbers(
     """The configuration with the numbers that were best on cases.
 
     Args:
-        configuration: to start from.
-        judge: of the cases' scenes.
         cases: all of them are looked at in each iteration.
         levels: whether each level has its own κ, λ and α.
-        iterations: of Adam.
         report: called with each iteration and its loss, relative to the first.
         expired: asked before each iteration.
     """

@@ -95,11 +95,7 @@ class RelaxedSchedule:
         return jnp.exp(self.log_fidelity)
 
     def schedule(self, factors: Sequence[int], name: str = "tuned") -> Schedule:
-        """The cascade that this point stands for; step counts are rounded, levels without steps left out.
-
-        Raises:
-            InputError: no level has a step.
-        """
+        """The cascade that this point stands for; step counts are rounded, levels without steps left out."""
         levels = []
         columns = factors, np.round(self.steps), self.kappa, self.lam, self.fidelity
         for factor, n, kappa, lam, fidelity in zip(*columns, strict=True):
@@ -166,11 +162,6 @@ def prepare_channels(
     """Parts of a case that no candidate changes, of channels at one pixel in each `sampling` x `sampling` block.
 
     Args:
-        channels: to refine.
-        confidence: of each sample.
-        guide: at full size.
-        factors: of the levels, multiples of the sampling.
-        sampling: of the channels.
         picture: colours, frame, target and where it is valid, for a loss.
     """
     weight = confidence.astype(channels.dtype)

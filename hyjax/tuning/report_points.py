@@ -71,7 +71,6 @@ def svg(figure: Figure, name: str, title: str) -> Markup:
     """A figure as an `<svg>` element to stand in a page, whose style sheet sets its colours.
 
     Args:
-        figure: made here.
         name: distinguishes the element's ids from those of others in the page.
         title: what a screen reader says; as it goes into the text, without `<`, `&` or quotes.
     """
@@ -238,10 +237,7 @@ def legend(figure: Figure, points: Sequence[Point], texts: Mapping[str, str], *,
     """A legend below all panels.
 
     Args:
-        figure: of the panels.
-        points: in any of them.
         texts: what kinds are called; `tuned` is that of the front.
-        budgets: whether there are lines of budgets.
     """
 
     def entry(label: str, **look: Any) -> Line2D:

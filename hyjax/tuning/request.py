@@ -51,7 +51,6 @@ def split_frames(count: int, frames: str | None, holdout: str | None) -> tuple[l
     """Indices to tune on and indices that are only reported on.
 
     Args:
-        count: frames in the capture.
         frames: as for `select_frames`; by default a few, spread over what is not held out.
         holdout: likewise; by default a few of the last quarter, or none if the capture is a single frame.
     """

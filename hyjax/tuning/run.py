@@ -66,10 +66,7 @@ class Run:
     """One run, from the search to the files.
 
     Args:
-        stage: what is tuned.
-        settings: of the search.
         budgets: of time; the first one's configuration is the main result.
-        monitor: time limit and progress.
     """
 
     def __init__(

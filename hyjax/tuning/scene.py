@@ -50,8 +50,6 @@ class TuningScene:
     surface makes of the frame, the photo's light left in on both sides: how well that is told, no capture says.
 
     Args:
-        name: short.
-        scene: on its rough surface.
         accurate: the same capture on an accurate surface; None for a room of known truth.
     """
 

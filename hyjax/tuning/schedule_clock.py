@@ -50,10 +50,6 @@ class ScheduleClock:
         base: schedule that others are relative to.
 
     Args:
-        latency: of the device.
-        workload: the scene's.
-        origin: where `latency` is from, for messages.
-        engine: the device itself; without it times are predicted.
         whole_frame: whether the other stages of a frame count.
     """
 

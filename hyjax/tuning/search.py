@@ -172,11 +172,7 @@ def search(
     """The whole loop.
 
     Args:
-        state: to go on from.
-        judged: evaluates a trial.
-        budgets: see `propose`.
         report: called with the state after each trial.
-        expired: whether the time is up.
     """
     while True:
         if state.trials and expired():

@@ -53,14 +53,6 @@ class Study:
 
     Args:
         folder: where `study.log` is kept; None keeps it in memory.
-        name: of the space that is searched.
-        settings: all that decides the losses, as JSON's types.
-        machine: what times are of: device, cores and the like.
-        resume: go on with the study that is there.
-
-    Raises:
-        InputError: a folder is given and Optuna is not installed; or there is a study and `resume` is not set, it
-            is damaged, or it was made with other settings or by another version.
     """
 
     @_quietly()
@@ -123,8 +115,6 @@ class Study:
         """Result of `compute`, which is called at most once for each key; of no trial in particular.
 
         Args:
-            key: of the result.
-            compute: gives it.
             expired: whether the time was up before it was done: such a result is not kept on disk.
         """
         name = f"result {key}"

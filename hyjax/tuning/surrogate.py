@@ -56,10 +56,7 @@ class Surrogate:
         """Surrogate of the values of trials.
 
         Args:
-            space: of the choices.
-            trials: choices.
             values: relative to the default's, as logarithms: the prior mean is 0.
-            noise: standard deviation of each value.
         """
         features, best = embed(space, trials), None
         for spread in SPREADS:

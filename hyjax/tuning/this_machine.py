@@ -41,12 +41,7 @@ PROBE_TOLERANCE = 1.3
 
 
 class ThisMachine:
-    """This machine: schedules are compiled, and timed in turns on the arrays of a frame.
-
-    Args:
-        arguments: filter, confidence and guide to time on.
-        progress: show bars of the calibration on stderr.
-    """
+    """This machine: schedules are compiled, and timed in turns on the arrays of a frame."""
 
     def __init__(self, arguments: Arguments, progress: bool = True) -> None:
         self.arguments, self.progress = arguments, progress
@@ -106,9 +101,7 @@ def kept_latency(
     """Times of this machine: from the cache if they still hold, else measured and kept.
 
     Args:
-        machine: where schedules are timed.
         workload: the shapes.
-        recalibrate: measure anew whatever the cache says.
 
     Returns:
         The times, and in a few words where they are from.

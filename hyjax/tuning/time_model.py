@@ -35,12 +35,7 @@ SHORTEST_RATIO = 1e-3
 
 
 def stage_work(space: Space, choices: Mapping[str, Any]) -> Float[np.ndarray, "k"]:
-    """Work of each stage under choices.
-
-    Args:
-        space: of the choices.
-        choices: complete, so that `sampling` is the one that runs.
-    """
+    """Work of each stage under choices."""
     values = dict(space.fixed) | {p.name: p.default for p in space.parameters} | dict(choices)
     seen = space.seen(values)
     pixels = 1.0 / values.get("scale", 1) ** 2
@@ -87,8 +82,6 @@ class TimeModel:
         """Model of timed trials.
 
         Args:
-            space: of the choices.
-            trials: choices.
             times: of them, over the default's.
         """
         work = np.stack([stage_work(space, choices) for choices in trials])

@@ -29,9 +29,7 @@ def unfinished(
     Args:
         state: with a timed trial at least.
         base: time of the default.
-        budgets: of the run.
         limits: of each of them, over the default's time.
-        record: of the run as far as it is known.
     """
 
     scores: dict[str, Scores] = {}

@@ -72,9 +72,7 @@ class Kind:
         """Value to pass on: as it is, or converted.
 
         Args:
-            name: of the argument.
             value: that was given.
-            seen: arguments before it, to which it is added.
         """
         if self.anything:
             return value

@@ -34,10 +34,7 @@ def cached_arrays(
     Warnings tell of a damaged file and of a folder that cannot be written.
 
     Args:
-        file: npz file in a cache folder.
         parse: turns the arrays into the result; any error counts as damage of the file.
-        make: makes the arrays.
-        compressed: whether to store them compressed.
     """
     kept = read_kept(file, parse)
     if kept is not None:

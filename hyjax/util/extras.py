@@ -10,9 +10,6 @@ def optional_module(module: str, extra: str, where: str, *, besides: str = "") -
     """An optional package's module.
 
     Args:
-        module: its full name.
-        extra: of hyjax, that brings it.
-        where: who needs it, for the message.
         besides: a command that is needed after that of the extra.
 
     Example:

@@ -55,12 +55,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def new_folder(out: Path, *, replace: bool = False) -> Iterator[Path]:
-    """A temporary folder next to `out` to fill, renamed to `out` if the block ends well, else removed.
-
-    Args:
-        out: the folder.
-        replace: whether one that is there is replaced.
-    """
+    """A temporary folder next to `out` to fill, renamed to `out` if the block ends well, else removed."""
     out = Path(out)
     if not replace and out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: is there already and not an empty folder; choose another")

@@ -30,14 +30,6 @@ def read_image(path: Path, where: str | None = None) -> Float[np.ndarray, "h w c
     """Read a picture as float32 with its channels as stored; integer formats are scaled to [0, 1].
 
     Colours of 8 bits that have a profile, such as Display P3, come back in sRGB.
-
-    Args:
-        path: of the file.
-        where: what messages call it, if not by its path.
-
-    Raises:
-        InputError: the file is missing, truncated, not a picture, or too large a one (see
-            `hyjax.util.picture_header`).
     """
     pixels = _read(path, where, in_srgb=True)
     if pixels.dtype.kind != "u":
@@ -65,7 +57,6 @@ def read_depth(path: Path, unit: float = 0.001, where: str | None = None) -> Flo
     Args:
         path: a one-channel 16-bit picture.
         unit: metres per stored step.
-        where: what messages call it, if not by its path.
     """
     raw = _read(path, where, only="uint16")
     if raw.shape[2] != 1:
@@ -140,7 +131,6 @@ def write_depth(path: Path, depth: Float[np.ndarray, "h w"], unit: float = 0.001
     """Write a depth map in metres as a 16-bit PNG; missing readings and those out of range are 0.
 
     Args:
-        path: of the file.
         depth: metres.
         unit: metres per stored step.
     """

@@ -17,7 +17,6 @@ class CommandBar:
     """Bar of a command: what is being done, and later how many of its frames are done.
 
     Args:
-        description: of the frames.
         unit: of what is counted in the end.
     """
 

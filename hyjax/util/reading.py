@@ -38,12 +38,7 @@ MOST_NODES = 100_000
 
 
 def open_regular(path: Path, where: str | None = None) -> BinaryIO:
-    """A file opened for reading; pipes, devices and folders are refused and not waited for.
-
-    Args:
-        path: of the file; links are followed.
-        where: what messages call it, if not by its path.
-    """
+    """A file opened for reading; pipes, devices and folders are refused and not waited for."""
     where = where or str(path)
     try:
         # Without O_NONBLOCK, opening a pipe waits for somebody who writes.
@@ -139,13 +134,7 @@ def parse_json(text: str | bytes, where: str, *, only_finite: bool = False) -> A
     """Plain data of a JSON text.
 
     Args:
-        text: of the file.
-        where: what messages call it.
         only_finite: refuse NaN and infinite numbers too, which Python writes though JSON has none.
-
-    Raises:
-        InputError: no text, no JSON, over 64 MiB, too many values, whole numbers beyond 64 bits, or lists and
-            mappings more than 64 deep.
 
     Example:
         >>> parse_json('{"size": [640, 480]}', "camera.json")
@@ -193,10 +182,6 @@ def read_yaml(path: Path, where: str | None = None) -> Any:
 
 def parse_yaml(text: str, where: str) -> Any:
     """Plain data of a YAML text; JSON is a part of YAML.
-
-    Raises:
-        InputError: neither, whole numbers beyond 64 bits, more than 64 deep, aliases that stand for more than
-            100 000 values, or merge keys (`<<`), which stand for as many.
 
     Example:
         >>> parse_yaml("lights:\\n  - {type: point, lux: 80}", "lamps.yaml")

@@ -47,9 +47,7 @@ def read_lines(path: Path, is_line: Callable[[Line], object], what: str) -> list
     """Read the whole lines of a file; the last one may have been cut off by a crash and is then left out.
 
     Args:
-        path: the file.
         is_line: whether an object is a line of such a file.
-        what: name of such a line, for the message.
     """
     texts = read_bytes(path).splitlines()
     lines: list[Line] = []
@@ -81,10 +79,6 @@ def check_same_settings(
     """Raise `InputError` if an interrupted run had other settings than the one that is to go on with it.
 
     Args:
-        folder: of the run.
-        before: its settings.
-        now: settings of the new run, as JSON's types.
-        ignored: names of settings that may change.
         option: a setting, by name and value, as the command line has it; by default as Python has it.
     """
     for name in sorted(before.keys() | now.keys()):

@@ -15,15 +15,7 @@ LARGEST_HEADER = 1 << 20
 
 
 def read_tensors(path: Path, where: str | None = None) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """(arrays by name, texts by name) of a safetensors file.
-
-    Args:
-        path: of the file.
-        where: what messages call it, if not by its path.
-
-    Raises:
-        InputError: no such file, damaged, or too large.
-    """
+    """(arrays by name, texts by name) of a safetensors file."""
     where = where or str(path)
     with open_regular(path, where) as file:
         check_most(file.seek(0, 2), LARGEST_FILE, where)

@@ -145,11 +145,7 @@ def kind_name(light: Light) -> str:
 
 
 def color_of(values: Mapping[str, Any]) -> Vector:
-    """Linear RGB by a file's `color` or `temperature`; white without either.
-
-    Raises:
-        InputError: both are given.
-    """
+    """Linear RGB by a file's `color` or `temperature`; white without either."""
     color, kelvin = values["color"], values["temperature"]
     if kelvin is None:
         return np.asarray((1.0, 1.0, 1.0) if color is None else color, np.float32)

@@ -65,11 +65,7 @@ Triple = Float[ArrayLike, "3"] | Sequence[float]
 
 
 def direction(vector: Triple, name: str = "direction") -> Float[np.ndarray, "3"]:
-    """Unit vector along a vector, in float32.
-
-    Raises:
-        InputError: the zero vector; the message calls it by its name.
-    """
+    """Unit vector along a vector, in float32."""
     single = np.asarray(vector, np.float32)
     length = np.linalg.norm(single)
     if length == 0:

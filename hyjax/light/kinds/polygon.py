@@ -18,7 +18,6 @@ def polygon_form_factor(corners: list[Float[Array, "*s 3"]], n: Float[Array, "*s
 
     Args:
         corners: corners relative to the point, in order, counter-clockwise from there, or clockwise.
-        n: unit normal of the receiving surface.
 
     Returns:
         Fraction of the hemisphere, cosine-weighted, in [0, 1].

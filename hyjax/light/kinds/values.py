@@ -18,13 +18,7 @@ NO_BOUNDS = FileKey("", "any")
 
 
 def check_fields(thing: Any, keys: tuple[FileKey, ...], name: str) -> None:
-    """Raise `InputError` for an invalid number or vector of a light. Traced values are let through.
-
-    Args:
-        thing: a light, or a part of it.
-        keys: with the bounds of its fields.
-        name: in messages.
-    """
+    """Raise `InputError` for an invalid number or vector of a light. Traced values are let through."""
     bounds = {key.field or key.name: key for key in keys}
     for field, shape in _shapes(thing.__class__):
         value, where = getattr(thing, field), f"{name}.{field}"

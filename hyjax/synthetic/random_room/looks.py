@@ -152,8 +152,6 @@ class Looks:
         """Draw a new look and return its number.
 
         Args:
-            rng: of the draw.
-            role: a key of `ROLES`.
             tile: metres along a side of the pattern; None for the usual size.
         """
         kind = ROLES[role]

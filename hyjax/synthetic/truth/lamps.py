@@ -23,11 +23,8 @@ def add_lamps(
     """Put lamps of random kinds into a room. Returns their light, their places as anchors, and the round ones.
 
     Args:
-        build: to add them to.
-        caster: rays of the room so far.
         size: of the room, metres.
         count: of lamps; fewer where there is no place.
-        rng: of the draws.
     """
     lights: list[Light] = []
     anchors: dict[str, dict[str, object]] = {}

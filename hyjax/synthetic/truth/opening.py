@@ -117,11 +117,6 @@ def from_opening(
     """Irradiance / π from points in an opening.
 
     Args:
-        caster: the room's rays.
-        opening: the window.
-        radiance: from outside, by unit directions that point outwards.
-        origin, normal: of the lit points.
-        square: points of the unit square, for each place.
         whole: whether there are no other samples: else the part is left out that cosine sampling finds better.
     """
     place = 2 * square - 1

@@ -286,7 +286,6 @@ def truth_exposure(
     """Exposure of the truth under new lights, for `TruthRoom.photograph`; see `TruthRoom` for its definition.
 
     Args:
-        white: exposure e of the photos.
         mean_light: K of the photos, in irradiance / π.
         reference_lux: R of the set-up. Pictures are made of irradiance / π: hence a factor π.
     """

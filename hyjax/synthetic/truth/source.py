@@ -67,10 +67,6 @@ def direct(
     """Irradiance / π of a light with its shadows.
 
     Args:
-        light: of a kind with an emitter.
-        caster: of the shadows.
-        position, normal: of the lit points.
-        samples: points of the emitter.
         turn: shifts the samples of each point by a share of the unit square.
         start: of the shadow rays; by default a hair above the surface.
     """

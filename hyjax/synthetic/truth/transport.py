@@ -51,13 +51,8 @@ class TexelTransport:
     """Light transport by rays between the texels of a room.
 
     Args:
-        surface: the room.
-        caster: its rays.
-        albedo: mean albedo of each chart.
-        openings: its windows.
         scale: coarsens the texels.
         side: each texel casts side² rays for bounces, and as many towards each window and panel.
-        seed: of the jitter.
 
     Attributes:
         texels: of the light maps.
@@ -93,8 +88,6 @@ class TexelTransport:
 
         Args:
             radiance: through the windows; None for a dark night.
-            soft: rectangles.
-            hard: bulbs, spots, sun.
         """
         near = np.zeros((len(self.texels), 3), np.float32)
         sharp = np.zeros_like(near)

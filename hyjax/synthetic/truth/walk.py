@@ -22,11 +22,8 @@ def walk(
     """Walk of `n_frames` poses once round a room of inner `size`, `field` degrees wide; they see across it.
 
     Args:
-        caster: the room's rays.
         size: width, depth and height in metres, one corner at the origin.
-        seed: of positions and aims.
         field: degrees across a picture.
-        n_frames, width, height: of the pictures.
     """
     focal = width / 2 / np.tan(np.radians(field) / 2)
     intrinsics = Intrinsics(width, height, focal, focal, width / 2, height / 2)
