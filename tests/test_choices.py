@@ -169,7 +169,7 @@ def test_bad_options_are_one_line(text: str) -> None:
 
 def test_what_a_renderer_refuses() -> None:
     for renderer in RENDERERS:
-        if renderer not in ("blender", "frames", "live"):
+        if renderer not in ("blender", "frames"):
             with pytest.raises(InputError, match="mode paper is not for"):
                 Configuration.paper().followed_by(renderer)
     with pytest.raises(InputError, match="scale 2 is not for --video"):
@@ -189,12 +189,10 @@ def test_a_configuration_says_the_sampling_that_runs() -> None:
     assert Configuration(light=LightOptions(sampling=16)).light.sampling == 2
 
 
-def test_files_and_live_frames_say_what_they_do_not_follow(caplog: pytest.LogCaptureFixture) -> None:
+def test_files_say_what_they_do_not_follow(caplog: pytest.LogCaptureFixture) -> None:
     own = Configuration().with_choices({"map_scale": 0.5, "bounce_gain": 2.0})
     own.followed_by("file")
     assert "custom: not followed by files for other runtimes: map_scale, bounce_gain" in caplog.text
-    assert own.followed_by("live").shadows.map_scale == 0.5
-    assert "not followed by frames relit as they arrive: bounce_gain" in caplog.text
 
 
 def test_choices_are_listed(capsys: pytest.CaptureFixture[str]) -> None:

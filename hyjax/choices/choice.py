@@ -10,14 +10,13 @@ if TYPE_CHECKING:
 Scale = Literal["any", "ordered", "linear", "log", "steps"]
 Values = Mapping[str, Any]
 """Value of each choice by name."""
-Renderer = Literal["webgpu", "page", "tour", "live tour", "file", "live", "blender", "video", "frames"]
+Renderer = Literal["webgpu", "page", "tour", "live tour", "file", "blender", "video", "frames"]
 RENDERERS: dict[Renderer, str] = {
     "webgpu": "--renderer webgpu",
     "page": "exported pages",
     "tour": "tours",
     "live tour": "tours of frames as they arrive",
     "file": "files for other runtimes",
-    "live": "frames relit as they arrive",
     "blender": "--renderer blender",
     "video": "--video",
     "frames": "frames without --video",
@@ -100,7 +99,5 @@ class Choice:
         return renderer not in self.refused and not self.ignored_by(renderer)
 
     def ignored_by(self, renderer: Renderer) -> bool:
-        """Whether a renderer leaves it out: files hold the cascade of the light alone, live frames no bounces."""
-        if renderer == "file":
-            return self.part != "schedule"
-        return renderer in self.said or (renderer == "live" and self.use is not None)
+        """Whether a renderer leaves it out: files hold the cascade of the light alone."""
+        return self.part != "schedule" if renderer == "file" else renderer in self.said

@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from hyjax.data.file_tree import FileTree
 from hyjax.util.errors import InputError
 from hyjax.util.images import picture_shape, read_depth, read_image, read_labels
-from hyjax.util.reading import parse_json, read_text
+from hyjax.util.reading import parse_json
 
 LARGEST_OF_NUMBERS = 1 << 16
 """Bytes of a text file that holds one matrix."""
@@ -21,22 +21,17 @@ LARGEST_NUMBER = 1e19
 TIMED_NAME = re.compile(r"(?:\d+_)?(\d+\.\d+)")
 
 
-def read_numbers(path: Path, shape: tuple[int, ...], meaning: str = "row by row") -> Float[np.ndarray, "*shape"]:
-    """All numbers of a text file, separated by blanks and line ends."""
-    return parse_numbers(read_text(path, most=LARGEST_OF_NUMBERS), str(path), shape, meaning)
-
-
 def tree_numbers(
     tree: FileTree, name: str, shape: tuple[int, ...], meaning: str = "row by row"
 ) -> Float[np.ndarray, "*shape"]:
-    """All numbers of a text file of a tree; see `read_numbers`."""
+    """All numbers of a text file of a tree; see `parse_numbers`."""
     return parse_numbers(tree.text(name, LARGEST_OF_NUMBERS), tree.where(name), shape, meaning)
 
 
 def parse_numbers(
     text: str, path: str, shape: tuple[int, ...], meaning: str = "row by row"
 ) -> Float[np.ndarray, "*shape"]:
-    """All numbers of a text; see `read_numbers`."""
+    """All numbers of a text, separated by blanks and line ends."""
     try:
         numbers = np.array(text.split(), dtype=np.float64)
     except ValueError as error:

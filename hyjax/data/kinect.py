@@ -55,9 +55,9 @@ class RegisteredKinect(DerivedCapture):
         return Camera(COLOUR, self.source.camera(index).pose @ colour_pose())
 
 
-def colour_pose(roll: float = ROLL) -> Float[np.ndarray, "4 4"]:
+def colour_pose() -> Float[np.ndarray, "4 4"]:
     """Pose of the colour camera in the depth camera's axes."""
-    cos, sin = np.cos(roll), np.sin(roll)
+    cos, sin = np.cos(ROLL), np.sin(ROLL)
     to_colour = np.eye(4)
     to_colour[:2, :2] = [[cos, -sin], [sin, cos]]
     to_colour[0, 3] = -BASELINE

@@ -59,15 +59,12 @@ class TruthCapture(RoomCapture):
         """The light of a set-up with all its bounces, baked once."""
         return self.room.bake(setup.lights, self._folder)
 
-    def truth(self, setup: LightSetup, frames: Sequence[int], light: TruthLight | None = None) -> list[Picture]:
+    def truth(self, setup: LightSetup, frames: Sequence[int]) -> list[Picture]:
         """True pictures under a set-up, of some of the frames.
 
         Exposed so that light of the set-up's `reference_lux` stands for the photos' mean light: see `TruthRoom`.
-        `light` is taken in the place of the set-up's own.
         """
-        if light is None:
-            return [self._kept_truth(setup, n) for n in frames]
-        return self._photographs(setup, frames, light)
+        return [self._kept_truth(setup, n) for n in frames]
 
     def _kept_truth(self, setup: LightSetup, n: int) -> Picture:
         """Picture of a frame under a set-up, from the cache folder if it was made before."""
@@ -76,15 +73,11 @@ class TruthCapture(RoomCapture):
         file = self._folder / "truth-pictures" / f"v{VERSION}-{self.name}-q{self._quality:g}-{key}.npz"
 
         def make() -> Arrays:
-            (picture,) = self._photographs(setup, [n], self.light(setup))
+            exposure = truth_exposure(self.exposure, self.mean_light, setup.reference_lux)
+            picture, _ = self.room.photograph(self.light(setup), self._cameras[n], n, exposure)
             return {"picture": np.round(255 * picture).astype(np.uint8)}
 
         return cached_arrays(file, lambda arrays: arrays["picture"].astype(np.float32) / 255, make)
-
-    def _photographs(self, setup: LightSetup, frames: Sequence[int], light: TruthLight) -> list[Picture]:
-        room = self.room
-        exposure = truth_exposure(self.exposure, self.mean_light, setup.reference_lux)
-        return [room.photograph(light, self._cameras[n], n, exposure)[0] for n in frames]
 
 
 def load_truth_room(

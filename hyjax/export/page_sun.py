@@ -18,12 +18,8 @@ CAMERAS = 8
 _log = logging.getLogger(__name__)
 
 
-def sun_table(scene: Scene, day: str = "2026-06-21", latitude: float = 48.0) -> dict[str, Any] | None:
-    """Lights of each half hour of a day; None without the extra `tour`, or for a room without windows.
-
-    Args:
-        latitude: degrees.
-    """
+def sun_table(scene: Scene) -> dict[str, Any] | None:
+    """Lights of each half hour of a day; None without the extra `tour`, or for a room without windows."""
     windows = scene.photo_light.sources.windows
     if not windows:
         _log.info("web: no sun by the hour: this room has no windows")
@@ -44,7 +40,7 @@ def sun_table(scene: Scene, day: str = "2026-06-21", latitude: float = 48.0) -> 
         )
         for w in windows[:MOST_WINDOWS]
     )
-    plan = TourPlan(day=day, latitude=latitude, windows=openings, north=north_for_bearing(openings[0], BEARING, up))
+    plan = TourPlan(windows=openings, north=north_for_bearing(openings[0], BEARING, up))
     cameras = [scene.capture.camera(index) for index in spread(range(len(scene.capture)), CAMERAS)]
     photo = scene.photo_light.estimate.light if scene.knows_photo_light else None
     lighting, rows = Lighting(scene.caster, cameras, up, photo), []
@@ -58,8 +54,8 @@ def sun_table(scene: Scene, day: str = "2026-06-21", latitude: float = 48.0) -> 
             }
         )
     return {
-        "day": day,
-        "latitude": latitude,
+        "day": plan.day,
+        "latitude": plan.latitude,
         "rows": rows,
         "adaptation": ADAPTATION,
         "walls": WALL_REFLECTANCE,

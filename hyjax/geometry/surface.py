@@ -22,15 +22,15 @@ def extract_surface(
     distance: Float[np.ndarray, "n 512"],
     observed: Bool[np.ndarray, "n 512"],
     voxel: float,
-    min_area: float | None = None,
 ) -> trimesh.Trimesh:
     """Zero crossing of a signed distance, where all eight corners of a cell were observed.
+
+    Connected pieces of less surface than (8 voxels)² are dropped.
 
     Args:
         blocks: coordinates of blocks of 8³ voxels; voxel (i, j, k) of block b sits at voxel·(8b + (i, j, k)).
         distance: signed, positive in free space, as a share of the truncation.
         voxel: edge in metres.
-        min_area: connected pieces of less surface are dropped, m²; (8 voxels)² unless given.
 
     Returns:
         Mesh without degenerate triangles, wound so that its normals point into free space.
@@ -46,7 +46,7 @@ def extract_surface(
     vertices = ((vertices + low * 8.0) * voxel).astype(np.float32)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     bad = degenerate_faces(vertices, faces)
-    bad |= in_small_pieces(mesh, (8.0 * voxel) ** 2 if min_area is None else min_area)
+    bad |= in_small_pieces(mesh, (8.0 * voxel) ** 2)
     if bad.all():
         raise InputError("no surface: only specks were measured; need more depth or a finer voxel")
     mesh = drop_faces(mesh, bad)

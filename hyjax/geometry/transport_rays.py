@@ -88,7 +88,7 @@ def enclose(caster: RayCaster, up: Float[np.ndarray, "3"]) -> Box:
     return Box(axes, np.quantile(local, 0.002, axis=0) - MARGIN, np.quantile(local, 0.998, axis=0) + MARGIN)
 
 
-def cosine_directions(count: int, seed: int = 0) -> Float[np.ndarray, "n 3"]:
+def cosine_directions(count: int) -> Float[np.ndarray, "n 3"]:
     """Cosine-distributed directions about +z (Malley's method on a Fibonacci disc)."""
     k = np.arange(count)
     radius, angle = np.sqrt((k + 0.5) / count), k * np.pi * (3.0 - np.sqrt(5.0))

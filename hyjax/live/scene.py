@@ -1,27 +1,25 @@
 """Live scene: frames join one by one, and its surface, shadows and relit pictures follow.
 
     scene = LiveScene()
-    for live in relight_live(frames, lights, "fast", scene=scene):
-        show(live.relit.image)
+    relighter = Relighter(scene, lights, "fast")
+    for frame in frames:
+        if scene.add(frame) and scene.update():
+            show(relighter.relit(frame).image)
 
 What a finished capture has and this has not: the photo's own light stays in the pictures, no bounces are added, and
 holes of the surface are not closed before it throws shadows; each of these takes longer than a frame lasts.
 """
 
-import dataclasses
 import logging
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-import jax
 import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from hyjax.configuration import Configuration
-from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.data.frames import fit
 from hyjax.geometry.camera import Camera, Intrinsics, check_pose
@@ -30,17 +28,15 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import SurfaceLight
-from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup, geometry_key
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
 from hyjax.live.caster import LiveCaster
 from hyjax.live.mesh import LiveMesh
 from hyjax.live.shadow import LiveShadowMaps, LiveSurface
-from hyjax.live.volume import MOST_BLOCKS, LiveVolume, make_pool
+from hyjax.live.volume import LiveVolume, make_pool
 from hyjax.scene.occluders import SURFACE_ERROR
 from hyjax.scene.place import view_of
-from hyjax.scene.relighter import Relighter
 from hyjax.scene.settings import Occluders
 from hyjax.util.errors import InputError
 
@@ -50,8 +46,6 @@ MAX_DEPTH = 5.0
 """Metres beyond which readings are left out."""
 DEPTH_WIDTH = 320
 """Columns of a depth map that are used, about: with voxels of 4 cm more of them add nothing."""
-RENEWAL_RATE = 5.0
-"""Renewals of the mesh for each second of frames."""
 MOST_REGIONS = 16
 """Most regions that are meshed anew at once, the most changed first; 1.3 m each way with voxels of 4 cm."""
 SHADOW_SCALE = 0.5
@@ -69,34 +63,23 @@ class LiveScene:
     `add` and `update` belong to one thread; everything else may be called from any.
 
     Attributes:
+        size: (height, width) that pictures are relit at; None as they come.
         surface: as of the last `update`; None before there is any.
         skipped: frames that were not used, by reason.
         times: seconds that the parts of the last `update` took.
 
     Args:
         voxel: edge in metres.
-        max_depth: metres.
-        size: (height, width) that pictures are relit at; None as they come.
-        workers: threads that integrate; as many as processors if None.
     """
 
-    def __init__(
-        self,
-        *,
-        voxel: float = VOXEL,
-        max_depth: float = MAX_DEPTH,
-        size: tuple[int, int] | None = None,
-        shadow_scale: float = SHADOW_SCALE,
-        most_blocks: int = MOST_BLOCKS,
-        workers: int | None = None,
-    ) -> None:
-        self.volume = LiveVolume(voxel, most_blocks=most_blocks)
+    def __init__(self, *, voxel: float = VOXEL) -> None:
+        self.volume = LiveVolume(voxel)
         self.pieces = LiveMesh(self.volume)
-        self.size, self.max_depth, self._scale = size, max_depth, shadow_scale
+        self.size: tuple[int, int] | None = None
         self.surface: LiveSurface | None = None
         self.skipped: Counter[str] = Counter()
         self.times: dict[str, float] = {}
-        self._maps, self._pool, self._last = LiveShadowMaps(SURFACE_ERROR), make_pool(workers), -np.inf
+        self._maps, self._pool, self._last = LiveShadowMaps(SURFACE_ERROR), make_pool(), -np.inf
         self._revision = 0
 
     # ---- frames come in ----
@@ -114,7 +97,7 @@ class LiveScene:
         assert frame.depth is not None
         reading = thinned(DepthReading(frame.depth, frame.depth_camera, frame.confidence))
         try:
-            self.volume.integrate(reading.depth, reading.camera, self.max_depth, self._pool)
+            self.volume.integrate(reading.depth, reading.camera, MAX_DEPTH, self._pool)
         except InputError as error:
             self.skip(frame.name, str(error))
             return False
@@ -214,7 +197,7 @@ class LiveScene:
 
         Arguments: see `Place`; the scale is relative to the scene's own.
         """
-        surface, scale = self._now(), scale * self._scale
+        surface, scale = self._now(), scale * SHADOW_SCALE
         return tuple(
             self._maps(geometry_key(light), light, surface, scale, most_views)
             for light in LightSetup.of(lights).lights
@@ -230,56 +213,6 @@ class LiveScene:
         if self.surface is None:
             raise InputError("live: there is no surface yet; it comes with the first frames that have depth")
         return self.surface
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class LiveFrame:
-    """A frame, relit as it came.
-
-    Attributes:
-        frame: as it came.
-        relit: stages of its relit picture; None while there is no surface.
-        revision: of the surface that it was relit on.
-    """
-
-    frame: Frame
-    relit: Relit | None
-    revision: int
-
-
-def relight_live(
-    frames: Iterable[Frame],
-    lights: LightSetup | Sequence[Light],
-    configuration: Configuration | Schedule | str | Path | None = None,
-    *,
-    scene: LiveScene | None = None,
-    rate: float = RENEWAL_RATE,
-) -> Iterator[LiveFrame]:
-    """Each frame, relit on the surface that is known by then.
-
-    All in the caller's thread and by the frames' own times, so that the same frames give the same pictures. For
-    frames that do not wait see `hyjax.live.follow.Follower`.
-
-    Args:
-        frames: in order of time.
-        configuration: see `Relighter`; the photo's light stays in the pictures, and a line in the log
-            says which of its choices are not followed.
-        scene: that the frames join; a new one if None.
-        rate: renewals of the surface for each second of frames.
-    """
-    scene = LiveScene() if scene is None else scene
-    chosen = Configuration.of(configuration)
-    chosen.followed_by("live")
-    relighter, renewed = Relighter(scene, lights, chosen), -np.inf
-    for frame in frames:
-        if scene.add(frame) and frame.time - renewed >= 1.0 / rate - 1e-6:
-            scene.update()
-            renewed = frame.time
-        if scene.surface is None:
-            yield LiveFrame(frame, None, 0)
-        else:
-            relit = jax.block_until_ready(relighter.relit(frame))
-            yield LiveFrame(frame, relit, scene.surface.revision)
 
 
 def thinned(reading: DepthReading) -> DepthReading:

@@ -33,19 +33,15 @@ RECORD3D_WAIT = 10.0
 _log = logging.getLogger(__name__)
 
 
-def live_frames(source: str, *, stop_after: float | None = None) -> Iterator[Frame]:
-    """Frames from `-` (messages on stdin), `record3d` (a phone on USB) or a folder that grows.
-
-    Args:
-        stop_after: end when a folder has not grown for so many seconds; None to look for ever.
-    """
+def live_frames(source: str) -> Iterator[Frame]:
+    """Frames from `-` (messages on stdin), `record3d` (a phone on USB) or a folder that grows."""
     if source == "-":
         return read_live_frames(sys.stdin.buffer)
     if source == "record3d":
         return record3d_frames()
     if not Path(source).is_dir():
         raise InputError(f"live: {source}: no such folder; give a folder, '-' for stdin, or 'record3d'")
-    return folder_frames(Path(source), stop_after=stop_after)
+    return folder_frames(Path(source))
 
 
 def known_up(source: str) -> Float[np.ndarray, "3"] | None:
@@ -111,20 +107,17 @@ def _folder_frame(tree: FileTree, number: int, colour: str) -> Frame:
     return Frame(f"frame-{number:06d}", image, Camera(lens, pose), time_of, depth, depth_lens)
 
 
-def record3d_frames(device: int = 0) -> Iterator[Frame]:
+def record3d_frames() -> Iterator[Frame]:
     """Frames of a phone that streams with the app Record3D over USB. **Nobody has tried this with a phone.**
 
     After the package's interface (https://github.com/marek-simonik/record3d). The axes are taken to be ARKit's.
-
-    Args:
-        device: number of the phone, if several are connected.
     """
     try:
         from record3d import Record3DStream
     except ImportError:
         raise InputError("live: record3d: needs the package record3d: pip install record3d") from None
     devices = Record3DStream.get_connected_devices()
-    if len(devices) <= device:
+    if not devices:
         raise InputError("live: record3d: no phone; connect one by USB and start the app's USB streaming")
     stream, ready = Record3DStream(), queue.Queue[bool](maxsize=1)
 
@@ -134,7 +127,7 @@ def record3d_frames(device: int = 0) -> Iterator[Frame]:
 
     stream.on_new_frame = arrived
     stream.on_stream_stopped = lambda: ready.put(False)
-    if not stream.connect(devices[device]):
+    if not stream.connect(devices[0]):
         raise InputError("live: record3d: the phone does not stream; press its red button")
     begun, number = time.monotonic(), 0
     while True:

@@ -47,23 +47,14 @@ class LiveVolume(Volume):
 
     Args:
         voxel: edge in metres.
-        truncation: half width of the band around the surface in metres; 4 voxels unless given.
         most_blocks: beyond so many the blocks that were seen longest ago are dropped.
     """
 
-    def __init__(
-        self,
-        voxel: float,
-        truncation: float | None = None,
-        *,
-        most_blocks: int = MOST_BLOCKS,
-        tolerance: float = TOLERANCE,
-    ) -> None:
-        truncation = 4.0 * voxel if truncation is None else truncation
-        if not (0 < voxel < truncation < np.inf and most_blocks > 0 and tolerance >= 0):
-            raise InputError(f"live: need 0 < voxel < truncation, got {voxel} and {truncation} m")
-        super().__init__(voxel, truncation)
-        self.frames, self._most, self._tolerance = 0, most_blocks, tolerance
+    def __init__(self, voxel: float, *, most_blocks: int = MOST_BLOCKS) -> None:
+        if not 0 < voxel < np.inf:
+            raise InputError(f"live: need a voxel above 0 m, got {voxel}")
+        super().__init__(voxel, 4.0 * voxel)
+        self.frames, self._most = 0, most_blocks
         self._meshed = np.zeros((0, BLOCK_SIDE**3), np.float32)  # what the mesh was made of
         self._touched = np.zeros(0, bool)
         self._seen = np.zeros(0, np.int64)  # the frame that each block was last seen in
@@ -89,7 +80,7 @@ class LiveVolume(Volume):
         now /= np.maximum(weights, np.float32(1e-12)) * np.float32(self.truncation)
         now[weights <= MIN_WEIGHT] = UNSEEN_VALUE
         amount = np.abs(now - self._meshed[slots]).max(axis=1, initial=0.0)
-        changed = amount > self._tolerance
+        changed = amount > TOLERANCE
         self._meshed[slots[changed]] = now[changed]
         amounts = np.zeros(self.count, np.float32)
         amounts[slots[changed]] = amount[changed]

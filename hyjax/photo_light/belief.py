@@ -49,9 +49,9 @@ NO_BELIEF = Belief(0.0, 0.0, (1.0,) * len(EXPONENTS))
 """Belief where scan and frames give too little evidence: nothing is divided out."""
 
 
-def folds(position: Float[np.ndarray, "n 3"], seed: int = 0) -> Int[np.ndarray, "n"]:
+def folds(position: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "n"]:
     """Fold of each point: whole blocks of space, as large as leaves every fold enough of them."""
-    rng, side = np.random.default_rng(seed), LARGEST_SIDE
+    rng, side = np.random.default_rng(0), LARGEST_SIDE
     while True:
         block = blocks(position, side)
         sizes = np.bincount(block, minlength=1)

@@ -18,10 +18,9 @@ def coplanar_pairs(
     normal: Float[np.ndarray, "v 3"],
     usable: Bool[np.ndarray, "v"],
     count: int,
-    seed: int = 0,
 ) -> Int[np.ndarray, "n 2"]:
     """Random pairs of usable vertices on one plane; fewer than `count` if there are not as many."""
-    rng, candidates = np.random.default_rng(seed), np.flatnonzero(usable)
+    rng, candidates = np.random.default_rng(0), np.flatnonzero(usable)
     if len(candidates) < 2:
         return np.zeros((0, 2), int)
     first = rng.choice(candidates, 3 * count)

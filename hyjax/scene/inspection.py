@@ -23,6 +23,8 @@ from hyjax.util.prefetch import prefetch
 from hyjax.util.vectors import orthonormal_frame
 
 SAMPLE_COUNT = 12
+MOST_PLAN_POINTS = 20_000
+"""Points of the surface in the plan, at most."""
 """Number of frames and depth maps to read."""
 SHOWN_COUNT, SHOWN_LENGTH = 4, 480
 """Number of frames in the picture of an inspection, and the least longer side that they are kept at, in pixels."""
@@ -238,9 +240,7 @@ def relight_command(path: Path | None, capture: Capture, *, scale: float | None 
     return " ".join(word if word.isupper() else shlex.quote(word) for word in words)
 
 
-def points_from_above(
-    inspection: Inspection, most: int = 20_000
-) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "m 2"]]:
+def points_from_above(inspection: Inspection) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "m 2"]]:
     """Plan of surface points and camera positions: metres along two horizontal axes."""
     capture = inspection.capture
     x, y, _ = orthonormal_frame(capture.up)
@@ -256,7 +256,7 @@ def points_from_above(
         )
     elif inspection.mesh is not None:
         points = np.asarray(inspection.mesh.vertices)
-    points = points[:: max(1, len(points) // most)]
+    points = points[:: max(1, len(points) // MOST_PLAN_POINTS)]
     return np.stack([points @ x, points @ y], -1), np.stack(
         [inspection.positions @ x, inspection.positions @ y], -1
     )

@@ -14,12 +14,12 @@ Cast = Callable[[Sequence[Light]], Maps]
 class KeptMaps:
     """Shadow maps of the last sets of lights.
 
-    Args:
+    Attributes:
         most: sets that are kept, of the two kinds of occluders, say.
     """
 
-    def __init__(self, most: int = 2) -> None:
-        self.most = most
+    def __init__(self) -> None:
+        self.most = 2
         self._sets: list[tuple[Hashable, tuple[Hashable, ...], Maps]] = []
         self._lock = threading.Lock()
 

@@ -40,11 +40,11 @@ class RunMonitor:
         """Say how far a long part has come."""
         self.bar.set_postfix_str(words)
 
-    def done(self, parts: int = 1) -> None:
+    def done(self) -> None:
         """Called after each part."""
-        if self.bar.total is not None and self.bar.n + parts > self.bar.total:
-            self.bar.total = self.bar.n + parts
-        self.bar.update(parts)
+        if self.bar.total is not None:
+            self.bar.total = max(self.bar.total, self.bar.n + 1)
+        self.bar.update()
 
     def note(self, phase: str, loss: float) -> None:
         """Called after each trial with its loss over the default's."""

@@ -50,8 +50,8 @@ def replay(journal: Path, settings: TuneSettings) -> Tuned:
     )
 
 
-def front_configurations(trials: Sequence[Trial], count: int = POINT_COUNT) -> list[Configuration]:
+def front_configurations(trials: Sequence[Trial]) -> list[Configuration]:
     """Configurations of a few points of the front of those trials that were judged on the most cases."""
     most = max((len(trial.losses) for trial in trials), default=0)
     front, space = front_of_trials(trials, cases=most), Space.of(truth=True)
-    return [space.configuration(t.choices, f"tuned-{t.time:.2f}") for t in spread(front, count)]
+    return [space.configuration(t.choices, f"tuned-{t.time:.2f}") for t in spread(front, POINT_COUNT)]

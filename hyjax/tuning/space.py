@@ -339,8 +339,8 @@ def key_of(choices: Mapping[str, Any]) -> str:
     return repr(sorted(choices.items()))
 
 
-def random_configurations(count: int, seed: int, *, truth: bool = True) -> list[Configuration]:
+def random_configurations(count: int, seed: int) -> list[Configuration]:
     """Random configurations, the default first; the same for the same seed."""
-    space, rng = Space.of(truth=truth), np.random.default_rng(seed)
+    space, rng = Space.of(truth=True), np.random.default_rng(seed)
     drawn: Sequence[Choices] = [space.default, *(space.random(rng) for _ in range(count - 1))]
     return [space.configuration(choices, f"random-{seed}-{n}") for n, choices in enumerate(drawn)][:count]

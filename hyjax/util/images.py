@@ -127,14 +127,9 @@ def to_bytes(display: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"
     return np.round(np.clip(np.asarray(display, np.float32), 0.0, 1.0) * np.float32(255.0)).astype(np.uint8)
 
 
-def write_depth(path: Path, depth: Float[np.ndarray, "h w"], unit: float = 0.001) -> None:
-    """Write a depth map in metres as a 16-bit PNG; missing readings and those out of range are 0.
-
-    Args:
-        depth: metres.
-        unit: metres per stored step.
-    """
-    steps = np.round(np.nan_to_num(np.asarray(depth, np.float64), posinf=0.0, neginf=0.0) / unit)
+def write_depth(path: Path, depth: Float[np.ndarray, "h w"]) -> None:
+    """Write a depth map in metres as a 16-bit PNG of millimetres; missing readings and those out of range are 0."""
+    steps = np.round(np.nan_to_num(np.asarray(depth, np.float64), posinf=0.0, neginf=0.0) / 0.001)
     _write(path, np.where((steps > 0) & (steps < 65535), steps, 0).astype(np.uint16), "uint16", {})
 
 

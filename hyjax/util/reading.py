@@ -84,9 +84,9 @@ def _kernel_devices() -> set[int]:
     return {place.stat().st_dev for place in (Path("/proc"), Path("/sys")) if place.is_dir()}
 
 
-def check_regular(path: Path, where: str | None = None) -> None:
+def check_regular(path: Path) -> None:
     """Raise `InputError` unless a path is a regular, readable file."""
-    open_regular(path, where).close()
+    open_regular(path).close()
 
 
 def exists(path: Path) -> bool:
@@ -125,9 +125,9 @@ def as_text(content: bytes, where: str) -> str:
         raise InputError(f"{where}: not a text file (byte {error.start} is not UTF-8)") from None
 
 
-def read_json(path: Path, where: str | None = None, most: int = LARGEST_JSON) -> Any:
+def read_json(path: Path) -> Any:
     """Plain data of a JSON file; see `parse_json`."""
-    return parse_json(read_text(path, where, most), where or str(path))
+    return parse_json(read_text(path, most=LARGEST_JSON), str(path))
 
 
 def parse_json(text: str | bytes, where: str, *, only_finite: bool = False) -> Any:
@@ -175,9 +175,9 @@ def parse_json(text: str | bytes, where: str, *, only_finite: bool = False) -> A
     return value
 
 
-def read_yaml(path: Path, where: str | None = None) -> Any:
+def read_yaml(path: Path) -> Any:
     """Plain data of a YAML or JSON file; see `parse_yaml`."""
-    return parse_yaml(read_text(path, where, LARGEST_YAML), where or str(path))
+    return parse_yaml(read_text(path, most=LARGEST_YAML), str(path))
 
 
 def parse_yaml(text: str, where: str) -> Any:

@@ -15,7 +15,8 @@ from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.geometry.depth_map import DepthReading
 from hyjax.light.kinds import AmbientLight, PointLight
 from hyjax.live.follow import Follower
-from hyjax.live.scene import LiveScene, relight_live, thinned
+from hyjax.live.scene import LiveScene, thinned
+from hyjax.scene.relighter import Relighter
 from hyjax.synthetic.room import make_room
 from hyjax.util.errors import InputError
 
@@ -33,21 +34,30 @@ def seen() -> list[Frame]:
     return frames(room(far=False), looking(MIDDLE, 12))
 
 
+def relit_as_they_come(scene: LiveScene, seen: list[Frame]) -> list[np.ndarray]:
+    """Each frame relit on the surface that is known by then, which is renewed with every sixth."""
+    relighter, relit = Relighter(scene, LIGHTS, SCHEDULE), []
+    for number, frame in enumerate(seen):
+        assert scene.add(frame)
+        if number % 6 == 0:
+            scene.update()
+        relit.append(np.asarray(relighter.relit(frame).image))
+    return relit
+
+
 def test_frames_are_relit_as_the_surface_grows(seen: list[Frame]) -> None:
     scene = LiveScene(voxel=0.05)
-    relit = list(relight_live(seen, LIGHTS, SCHEDULE, scene=scene))
-    assert [live.frame.name for live in relit] == [frame.name for frame in seen]
-    assert relit[0].relit is not None and relit[0].revision == 1
-    assert relit[-1].revision == 2, "five times a second of frames"
+    relit = relit_as_they_come(scene, seen)
+    assert scene.revision == 2, "after each sixth frame"
     view = scene.view(seen[-1])
     shaded = view.shade(
         LIGHTS, shadow_maps=scene.shadow_maps(LIGHTS), sampling=Configuration.of(SCHEDULE).light.sampling
     )
     whole = hyjax.relight(view, shaded, view.display, SCHEDULE)
-    np.testing.assert_array_equal(whole.image, relit[-1].relit.image)  # type: ignore[union-attr]
+    np.testing.assert_array_equal(whole.image, relit[-1])
     assert float(view.gbuffer.hit.mean()) > 0.6 and len(scene.mesh.faces) > 1000
-    again = list(relight_live(seen, LIGHTS, SCHEDULE, scene=LiveScene(voxel=0.05)))
-    np.testing.assert_array_equal(again[-1].relit.image, relit[-1].relit.image)  # type: ignore[union-attr]
+    again = relit_as_they_come(LiveScene(voxel=0.05), seen)
+    np.testing.assert_array_equal(again[-1], relit[-1])
 
 
 def test_unusable_frames_are_skipped_with_a_line(seen: list[Frame], caplog: pytest.LogCaptureFixture) -> None:

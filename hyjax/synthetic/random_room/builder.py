@@ -57,12 +57,11 @@ class RoomBuilder(Builder):
         """Context with stretched local coordinates."""
         return self.transformed(np.diag([x, y, z, 1.0]))
 
-    def tilted(self, degrees: float, axis: int = 0) -> contextlib.AbstractContextManager[None]:
-        """Context with coordinates turned about the local x axis (or another)."""
-        a, b = (axis + 1) % 3, (axis + 2) % 3
+    def tilted(self, degrees: float) -> contextlib.AbstractContextManager[None]:
+        """Context with coordinates turned about the local x axis."""
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         turn = np.eye(4)
-        turn[[a, a, b, b], [a, b, a, b]] = c, -s, s, c
+        turn[1:3, 1:3] = [[c, -s], [s, c]]
         return self.transformed(turn)
 
     @contextlib.contextmanager

@@ -112,13 +112,8 @@ def from_opening(
     origin: Float[np.ndarray, "n 3"],
     normal: Float[np.ndarray, "n 3"],
     square: Float[np.ndarray, "n k 2"],
-    whole: bool = False,
 ) -> Float[np.ndarray, "n 3"]:
-    """Irradiance / π from points in an opening.
-
-    Args:
-        whole: whether there are no other samples: else the part is left out that cosine sampling finds better.
-    """
+    """Irradiance / π from points in an opening, without the part that cosine sampling finds better."""
     place = 2 * square - 1
     target = opening.outer + place[..., :1] * opening.right + place[..., 1:] * opening.up
     to = (target - origin[:, None]).astype(np.float32)
@@ -134,7 +129,7 @@ def from_opening(
     direction = direction[free]
     by_window = distance[index] ** 2 / (facing[index] * opening.area)
     by_cosine = cosine[index] / np.pi
-    weight = by_cosine / (by_window + (0 if whole else by_cosine))
+    weight = by_cosine / (by_window + by_cosine)
     light = np.zeros((*ask.shape, 3), np.float32)
     light[index] = radiance(unit(direction).astype(np.float32)) * weight[:, None]
     return light.mean(axis=1)
