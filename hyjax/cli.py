@@ -6,8 +6,9 @@ import gc
 import io
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -15,7 +16,7 @@ import hyjax
 from hyjax.data.convert_settings import ConvertSettings
 from hyjax.device.serve import ServeSettings, run_serve
 from hyjax.export.settings import ExportSettings
-from hyjax.info import InfoSettings
+from hyjax.info import InfoSettings, run_info
 from hyjax.relighting.settings import RelightSettings
 from hyjax.sweep.settings import SweepSettings
 from hyjax.tour.settings import TourSettings
@@ -58,20 +59,7 @@ class Train:
     """No progress bars."""
 
 
-Command = (
-    RelightSettings
-    | TuneSettings
-    | SweepSettings
-    | Train
-    | TourSettings
-    | ExportSettings
-    | ServeSettings
-    | ConvertSettings
-    | InfoSettings
-)
-
-
-def parse() -> Command:
+def parse() -> Any:
     """Settings of the command line. Exits with status 2 on a usage error."""
     # The defaults of `train`, and what its help says they are.
     recipe = paper_settings() if "--paper" in sys.argv else TrainSettings()
@@ -93,7 +81,7 @@ def parse() -> Command:
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
-            command: Command = tyro.cli(
+            command = tyro.cli(
                 commands,
                 args=arguments,
                 prog="hyjax",
@@ -132,26 +120,7 @@ def main() -> None:
             return
         defer_interrupts()
         command = parse()
-        if isinstance(command, RelightSettings):
-            run_relight(command)
-        elif isinstance(command, TuneSettings):
-            run_tune(command)
-        elif isinstance(command, SweepSettings):
-            run_swept(command)
-        elif isinstance(command, Train):
-            run_train(command)
-        elif isinstance(command, TourSettings):
-            run_tour(command)
-        elif isinstance(command, ExportSettings):
-            run_export(command)
-        elif isinstance(command, ServeSettings):
-            run_serve(command)
-        elif isinstance(command, ConvertSettings):
-            run_convert(command)
-        else:
-            from hyjax.info import run_info
-
-            run_info(command)
+        RUNNERS[type(command)](command)
         sys.stdout.flush()
     except InputError as error:
         print(f"hyjax: {error}", file=sys.stderr)
@@ -320,6 +289,20 @@ def run_convert(settings: ConvertSettings) -> None:
 
     count = convert(settings)
     print(f"{count} frame{'s' * (count != 1)} in {settings.out}; relight with: {relight_command(settings)}")
+
+
+RUNNERS: dict[type[Any], Callable[[Any], None]] = {
+    RelightSettings: run_relight,
+    TuneSettings: run_tune,
+    SweepSettings: run_swept,
+    Train: run_train,
+    TourSettings: run_tour,
+    ExportSettings: run_export,
+    ServeSettings: run_serve,
+    ConvertSettings: run_convert,
+    InfoSettings: run_info,
+}
+"""Function of each command, by its settings."""
 
 
 def _keep_for_later() -> None:

@@ -8,6 +8,7 @@ import warnings
 import pytest
 
 from hyjax import cli
+from hyjax.relighting.settings import RelightSettings
 from hyjax.util.terminal import OneLine, quiet_libraries
 
 INTERRUPTED_WHILE_LOADING = """
@@ -64,7 +65,7 @@ def test_long_arguments_are_not_repeated(
     option: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["hyjax", "relight", option, "9" * 5000])
-    monkeypatch.setattr(cli, "run_relight", lambda settings: settings.check())
+    monkeypatch.setitem(cli.RUNNERS, RelightSettings, lambda settings: settings.check())
     with pytest.raises(SystemExit, match="2"):
         cli.main()
     said = capsys.readouterr().err

@@ -231,29 +231,23 @@ class DerivedCapture(Capture):
         return self.source[index]
 
     def camera(self, index: int) -> Camera:
-        """See `Capture`."""
         return self.source.camera(index)
 
     @property
     def depth_count(self) -> int:
-        """See `Capture`."""
         return self.source.depth_count
 
     def depth_position(self, index: int) -> float:
-        """See `Capture`."""
         return self.source.depth_position(index)
 
     def depth_reading(self, index: int) -> DepthReading:
-        """See `Capture`."""
         return self.source.depth_reading(index)
 
     def mesh(self) -> "trimesh.Trimesh | None":
-        """See `Capture`."""
         return self.source.mesh()
 
     @property
     def has_mesh(self) -> bool:
-        """See `Capture`."""
         return self.source.has_mesh
 
 
@@ -267,7 +261,6 @@ class ChosenFrames(Capture):
 
     @property
     def fingerprint(self) -> str:
-        """See `Capture`."""
         return digest([self._capture.fingerprint, *map(str, self.indices)])
 
     def __len__(self) -> int:
@@ -277,5 +270,4 @@ class ChosenFrames(Capture):
         return self._capture[self.indices[index]]
 
     def camera(self, index: int) -> Camera:
-        """See `Capture`."""
         return self._capture.camera(self.indices[index])

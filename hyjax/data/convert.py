@@ -35,7 +35,6 @@ class SelectedFrames(ChosenFrames):
 
     @property
     def fingerprint(self) -> str:
-        """See `Capture`."""
         return digest([super().fingerprint, str(self._size)])
 
     def __getitem__(self, index: int) -> Frame:
@@ -49,16 +48,13 @@ class SelectedFrames(ChosenFrames):
         return dataclasses.replace(fitted, depth=frame.depth, depth_intrinsics=lens, confidence=frame.confidence)
 
     def camera(self, index: int) -> Camera:
-        """See `Capture`."""
         return super().camera(index) if self._size is None else self[index].camera
 
     def mesh(self) -> "trimesh.Trimesh | None":
-        """See `Capture`."""
         return self._capture.mesh()
 
     @property
     def has_mesh(self) -> bool:
-        """See `Capture`."""
         return self._capture.has_mesh
 
 

@@ -41,7 +41,6 @@ class RegisteredKinect(DerivedCapture):
 
     @property
     def fingerprint(self) -> str:
-        """See `Capture`."""
         return digest([self.source.fingerprint, f"{COLOUR} {BASELINE} {ROLL}"])
 
     def __getitem__(self, index: int) -> Frame:
@@ -51,7 +50,6 @@ class RegisteredKinect(DerivedCapture):
         return Frame(frame.name, frame.image, camera, frame.time, depth)
 
     def camera(self, index: int) -> Camera:
-        """See `Capture`."""
         return Camera(COLOUR, self.source.camera(index).pose @ colour_pose())
 
 

@@ -111,7 +111,6 @@ class Recording(Capture):
 
     @property
     def fingerprint(self) -> str:
-        """See `Capture`."""
         return self._tree.fingerprint()
 
     def __len__(self) -> int:
@@ -140,21 +139,17 @@ class Recording(Capture):
         return turn_frame(frame, self.quarter_turns)
 
     def camera(self, index: int) -> Camera:
-        """See `Capture`."""
         shot = self._pictures[index]
         return Camera(shot.intrinsics, shot.pose).turned(self.quarter_turns)
 
     @property
     def depth_count(self) -> int:
-        """See `Capture`."""
         return len(self._depths)
 
     def depth_position(self, index: int) -> float:
-        """See `Capture`."""
         return float(np.interp(self._pictures[index].time, self._depth_times, np.arange(len(self._depths))))
 
     def depth_reading(self, index: int) -> DepthReading:
-        """See `Capture`."""
         shot = self._depths[index]
         depth, confidence, lens = _read_depth(shot)
         return DepthReading(depth, Camera(lens, shot.pose), confidence)

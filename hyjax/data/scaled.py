@@ -32,7 +32,6 @@ class ScaledCapture(DerivedCapture):
 
     @property
     def fingerprint(self) -> str:
-        """See `Capture`."""
         return digest([self.source.fingerprint, repr(self._scale)])
 
     def __getitem__(self, index: int) -> Frame:
@@ -41,16 +40,13 @@ class ScaledCapture(DerivedCapture):
         return dataclasses.replace(frame, camera=self._scaled(frame.camera), depth=depth)
 
     def camera(self, index: int) -> Camera:
-        """See `Capture`."""
         return self._scaled(self.source.camera(index))
 
     def depth_reading(self, index: int) -> DepthReading:
-        """See `Capture`."""
         depth, camera, confidence = self.source.depth_reading(index)
         return DepthReading(depth * np.float32(self._of_depth), self._scaled(camera), confidence)
 
     def mesh(self) -> "trimesh.Trimesh | None":
-        """See `Capture`."""
         mesh = self.source.mesh()
         return None if mesh is None else mesh.copy().apply_scale(self._scale)
 

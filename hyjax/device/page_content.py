@@ -1,6 +1,5 @@
 """Content of page.json that exported pages and the tour share: frames with cameras, and programs of shaders."""
 
-import io
 import json
 from collections.abc import Iterator
 from importlib import resources
@@ -9,14 +8,13 @@ from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image
 
 from hyjax.configuration import Configuration
 from hyjax.device.frame_program import SceneCounts, frame_program
 from hyjax.device.precision_check import precision_check
 from hyjax.device.program import Precision, columns_rows, shader_text
 from hyjax.geometry.camera import Camera
-from hyjax.util.images import to_bytes
+from hyjax.util.images import picture_file
 
 PAGE_FORMAT = 3
 """Version of page.json. Add one whenever older scripts could not read it."""
@@ -39,13 +37,9 @@ def frame_entry(name: str, camera: Camera, file: str) -> dict[str, Any]:
 
 def frame_picture(image: Float[np.ndarray, "h w 3"], *, lossless: bool = False) -> bytes:
     """File of a frame's display values: JPEG, or PNG."""
-    file = io.BytesIO()
-    picture = Image.fromarray(to_bytes(image))
     if lossless:
-        picture.save(file, "PNG", optimize=True)
-    else:
-        picture.save(file, "JPEG", quality=QUALITY, subsampling=0, optimize=True)
-    return file.getvalue()
+        return picture_file(image, "PNG", optimize=True)
+    return picture_file(image, quality=QUALITY, subsampling=0, optimize=True)
 
 
 def page_programs(

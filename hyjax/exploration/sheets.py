@@ -1,17 +1,15 @@
 """Sheets of pictures side by side: stages, levels of the cascade, two pictures; and their JPEG files."""
 
-import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float
-from PIL import Image
 
 from hyjax.light.color import to_display
 from hyjax.light.relit import Relit
 from hyjax.util.contact_sheet import BACKGROUND, contact_sheet
-from hyjax.util.images import to_bytes
+from hyjax.util.images import picture_file
 
 QUALITY = 90
 """Quality of the JPEG pictures."""
@@ -49,9 +47,7 @@ def compared_sheet(first: tuple[str, Any], second: tuple[str, Any]) -> Sheet:
 
 def jpeg(display: Any) -> bytes:
     """A picture of display values as a JPEG file."""
-    file = io.BytesIO()
-    Image.fromarray(to_bytes(np.nan_to_num(np.asarray(display, np.float32)))).save(file, "JPEG", quality=QUALITY)
-    return file.getvalue()
+    return picture_file(np.nan_to_num(np.asarray(display, np.float32)), quality=QUALITY)
 
 
 def _gain(light: Any) -> float:

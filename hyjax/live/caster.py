@@ -35,7 +35,6 @@ class LiveCaster(RayCaster):
 
     @functools.cached_property
     def normals(self) -> Float[np.ndarray, "n 3"]:
-        """See `RayCaster`."""
         return np.concatenate([piece.normals for piece in self._pieces])
 
     @functools.cached_property

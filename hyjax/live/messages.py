@@ -4,7 +4,6 @@ A message is a line of JSON, then the bytes of its parts, whose lengths the line
 message is skipped up to the next line that does, with a line on stderr.
 """
 
-import io
 import json
 import logging
 from collections.abc import Iterator
@@ -14,7 +13,6 @@ from typing import Any, BinaryIO
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image
 
 from hyjax.data.capture import Frame
 from hyjax.data.capture_files import read_colour
@@ -22,7 +20,7 @@ from hyjax.data.recording import rigid
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
-from hyjax.util.images import to_bytes
+from hyjax.util.images import picture_file
 from hyjax.util.reading import parse_json
 
 KIND = "hyjax-live-1"
@@ -37,15 +35,14 @@ _log = logging.getLogger(__name__)
 @checked_arguments
 def write_live_frame(stream: BinaryIO, frame: Frame) -> None:
     """Write a frame as a message: its picture as JPEG, its depth in whole millimetres."""
-    picture = io.BytesIO()
-    Image.fromarray(to_bytes(frame.image)).save(picture, "JPEG", quality=QUALITY)
+    picture = picture_file(frame.image, quality=QUALITY)
     header: dict[str, Any] = {
         "kind": KIND,
         "name": frame.name,
         "time": float(frame.time),
         "pose": np.asarray(frame.camera.pose, float).tolist(),
         "intrinsics": _numbers(frame.camera.intrinsics),
-        "picture_bytes": len(picture.getvalue()),
+        "picture_bytes": len(picture),
     }
     depth = b""
     if frame.depth is not None:
@@ -53,7 +50,7 @@ def write_live_frame(stream: BinaryIO, frame: Frame) -> None:
         depth = np.clip(np.round(1000.0 * readings), 0, 65534).astype("<u2").tobytes()
         header["depth_intrinsics"] = _numbers(frame.depth_camera.intrinsics)
         header["depth_bytes"] = len(depth)
-    stream.write(json.dumps(header).encode() + b"\n" + picture.getvalue() + depth)
+    stream.write(json.dumps(header).encode() + b"\n" + picture + depth)
     stream.flush()
 
 

@@ -202,7 +202,6 @@ class AlignedCapture(DerivedCapture):
 
     @property
     def fingerprint(self) -> str:
-        """See `Capture`."""
         return digest([self.source.fingerprint, np.round(self._corrections, 6).tobytes().hex()])
 
     @property
@@ -218,11 +217,9 @@ class AlignedCapture(DerivedCapture):
         return dataclasses.replace(frame, camera=self.corrected(frame.camera, self._position(index)))
 
     def camera(self, index: int) -> Camera:
-        """See `Capture`."""
         return self.corrected(self.source.camera(index), self._position(index))
 
     def depth_reading(self, index: int) -> DepthReading:
-        """See `Capture`."""
         reading = self.source.depth_reading(index)
         return reading._replace(camera=self.corrected(reading.camera, float(index)))
 

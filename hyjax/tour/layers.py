@@ -57,12 +57,10 @@ class KeptGuide:
 
     @property
     def name(self) -> str:
-        """See `FrameGuide`."""
         return self.guide.name
 
     @property
     def fingerprint(self) -> str:
-        """See `FrameGuide`."""
         return self.guide.fingerprint
 
     def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
@@ -95,7 +93,6 @@ class CancellableCaster:
     cancelled: Callable[[], bool]
 
     def distances(self, view: RasterView) -> Float[np.ndarray, "h w"]:
-        """See `RayCaster`."""
         if self.cancelled():
             raise RenderCancelled
         return self.part.distances(view)

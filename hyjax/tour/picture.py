@@ -1,14 +1,12 @@
 """Pictures of a tour: a stage of the relit frame as bytes."""
 
 import dataclasses
-import io
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
-from PIL import Image
 
 from hyjax.core.diffusion import conductance
 from hyjax.core.schedule import Schedule
@@ -52,7 +50,6 @@ class RenderedFrame:
     reach: tuple[Reach | None, ...] = ()
 
 
-JPEG_QUALITY = 90
 COMPARED_STAGES: tuple[Shown, ...] = ("raw filter", "refined filter", "visibility")
 """Stages for which the unrefined light is needed, too."""
 
@@ -125,10 +122,3 @@ def _holes(lit: LitFrame) -> Float[Array, "h w 3"]:
 @jax.jit
 def _encoded(picture: Float[Array, "h w 3"]) -> UInt8[Array, "h w 3"]:
     return jnp.round(jnp.clip(to_display(picture), 0.0, 1.0) * 255.0).astype(jnp.uint8)
-
-
-def jpeg(picture: UInt8[np.ndarray, "h w 3"]) -> bytes:
-    """Picture as a JPEG file."""
-    file = io.BytesIO()
-    Image.fromarray(picture).save(file, "JPEG", quality=JPEG_QUALITY, subsampling=0)
-    return file.getvalue()

@@ -18,7 +18,6 @@ from hyjax.tour.kept_plan import KeptPlan
 from hyjax.tour.layers import RenderCancelled
 from hyjax.tour.messages import Message, packed
 from hyjax.tour.page_files import PageFiles
-from hyjax.tour.picture import jpeg
 from hyjax.tour.render_queue import RenderQueue
 from hyjax.tour.renderer import Renderer
 from hyjax.tour.settings import Engine, TourSettings
@@ -29,10 +28,12 @@ from hyjax.tour.wire import Wire, check_port
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable
 from hyjax.util.hosts import LOCAL
+from hyjax.util.images import picture_file
 
 if TYPE_CHECKING:
     from hyjax.tour.arriving import Arriving
 
+JPEG_QUALITY = 90
 WIDEST = 640
 """Pixels of the pictures, unless another size is given."""
 
@@ -203,7 +204,7 @@ class Tour:
             "reach": [lamp and lamp._asdict() for lamp in rendered.reach],
             "milliseconds": rendered.milliseconds | {"whole picture": 1e3 * (time.perf_counter() - begun)},
         }
-        visitor.show(packed(head, jpeg(rendered.picture)))
+        visitor.show(packed(head, picture_file(rendered.picture, quality=JPEG_QUALITY, subsampling=0)))
         return rendered.draft
 
     def _frame_arrived(self, forgotten: bool) -> None:

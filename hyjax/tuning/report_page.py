@@ -5,7 +5,6 @@ import dataclasses
 import itertools
 import json
 import math
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from hyjax.metrics import plain_metrics
 from hyjax.tuning import report_text as text
 from hyjax.tuning.result import Tuned
 from hyjax.util.errors import InputError
-from hyjax.util.images import resize, write_png
+from hyjax.util.images import picture_file, resize
 from hyjax.util.templates import templates
 
 MOST_BYTES = 5_500_000  # of pictures in one report; as text they take a third more
@@ -70,19 +69,7 @@ def _encode(picture: Float[np.ndarray, "h w 3"], kind: str, width: int) -> bytes
     pixels = np.clip(np.nan_to_num(np.asarray(picture, dtype=np.float32)), 0.0, 1.0)
     if pixels.shape[1] > width:
         pixels = np.clip(resize(pixels, max(1, round(width * pixels.shape[0] / pixels.shape[1])), width), 0.0, 1.0)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"picture.{kind}"
-        if kind == "png":
-            write_png(path, pixels)
-        else:
-            import OpenImageIO as oiio  # here: see `hyjax.util.images`
-
-            buffer = oiio.ImageBuf(np.ascontiguousarray(pixels))
-            buffer.specmod().attribute("Compression", f"jpeg:{QUALITY}")
-            buffer.specmod().attribute("jpeg:subsampling", "4:4:4")
-            if not buffer.write(str(path), "uint8"):
-                raise InputError(f"report: cannot make a JPEG ({buffer.geterror().splitlines()[0]})")
-        return path.read_bytes()
+    return picture_file(pixels, "PNG") if kind == "png" else picture_file(pixels, quality=QUALITY, subsampling=0)
 
 
 def pair_to_compare(headings: Sequence[str]) -> tuple[int, int]:

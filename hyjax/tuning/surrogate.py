@@ -79,11 +79,6 @@ class Surrogate:
         explained = np.einsum("mn,nm->m", across, cho_solve(self.factor, across.T))
         return across @ self.weights, np.sqrt(np.maximum(prior - explained, 0.0))
 
-    def effect(self, choices: Mapping[str, Any], other: Mapping[str, Any]) -> float:
-        """Predicted difference between two choices."""
-        here, there = self.predict([choices, other])[0]
-        return float(there - here)
-
 
 def embed(space: Space, trials: Sequence[Mapping[str, Any]]) -> Float[np.ndarray, "n p"]:
     """Place of each parameter's value; -1 where it is not active."""

@@ -103,13 +103,3 @@ class TimeModel:
     def __call__(self, choices: Sequence[Choices]) -> Float[np.ndarray, "n"]:
         """Times over the default's."""
         return self.stages(choices) * np.exp(self.residual.predict(choices)[0])
-
-
-def errors_left_out(space: Space, trials: Sequence[Choices], times: Sequence[float]) -> list[float]:
-    """Relative errors of times that are predicted from all other trials."""
-    found = []
-    for number, (choices, time) in enumerate(zip(trials, times, strict=True)):
-        others = [k for k in range(len(trials)) if k != number]
-        model = TimeModel.fit(space, [trials[k] for k in others], [times[k] for k in others])
-        found.append(abs(float(model([choices])[0]) / max(time, SHORTEST_RATIO) - 1.0))
-    return found

@@ -5,10 +5,11 @@ OpenImageIO is imported where it is used: kept in a module that outlives it at e
 
 import contextlib
 import errno
+import io
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -125,6 +126,19 @@ def write_png(
 def to_bytes(display: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"]:
     """Values in [0, 1] in 256 steps; those beyond are clipped."""
     return np.round(np.clip(np.asarray(display, np.float32), 0.0, 1.0) * np.float32(255.0)).astype(np.uint8)
+
+
+def picture_file(
+    display: Float[np.ndarray, "h w c"] | UInt8[np.ndarray, "h w c"],
+    form: Literal["JPEG", "PNG"] = "JPEG",
+    **options: int,
+) -> bytes:
+    """Content of a picture's file, by Pillow; options as Pillow has them."""
+    from PIL import Image
+
+    pixels, file = display if display.dtype == np.uint8 else to_bytes(display), io.BytesIO()
+    Image.fromarray(pixels).save(file, form, **options)
+    return file.getvalue()
 
 
 def write_depth(path: Path, depth: Float[np.ndarray, "h w"]) -> None:

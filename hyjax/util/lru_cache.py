@@ -44,7 +44,6 @@ class CachePart:
     kind: str
 
     def __call__(self, key: Hashable, make: Callable[[], T]) -> T:
-        """See `LruCache`."""
         return self.cache((self.kind, key), make)
 
     def __contains__(self, key: Hashable) -> bool:

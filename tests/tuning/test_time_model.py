@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from experiments.frame_tuning import errors_left_out
 from hyjax.tuning.space import Choices, Space
-from hyjax.tuning.time_model import TimeModel, errors_left_out, stage_work
+from hyjax.tuning.time_model import TimeModel, stage_work
 
 SPACE = Space.of(truth=True)
 
