@@ -213,11 +213,7 @@ DESCRIPTION = ("name", "up", "sensor", "metric", "depth_in_units", "format", "st
 
 
 class DerivedCapture(Capture):
-    """Capture derived from another one; a subclass overrides the parts that differ, at least `fingerprint`.
-
-    Attributes:
-        source: the other.
-    """
+    """Capture derived from another one; a subclass overrides the parts that differ, at least `fingerprint`."""
 
     def __init__(self, source: Capture) -> None:
         self.source = source

@@ -21,10 +21,6 @@ class FileTree:
 
     Args:
         names: of all files; separated by slashes, relative to the folder.
-
-    Attributes:
-        path: for messages.
-        names: of all files, sorted.
     """
 
     path: Path

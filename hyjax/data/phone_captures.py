@@ -78,12 +78,7 @@ def shape_of_pictures(tree: FileTree, names: Sequence[str]) -> tuple[int, int]:
 
 
 class PhoneScan:
-    """Shots of a phone's scan before they become a recording, with counts of faults and remarks.
-
-    Attributes:
-        tree: its files.
-        faults, remarks: see `Capture`.
-    """
+    """Shots of a phone's scan before they become a recording, with counts of faults and remarks."""
 
     def __init__(self, tree: FileTree) -> None:
         self.tree, self.faults, self.remarks = tree, Tally(), Tally()

@@ -45,7 +45,6 @@ class Shot:
         picture: reads the display-encoded picture; None if there is none.
         depth: reads depth in metres (0 where there is none) and its confidence in [0, 1]; None if there is none.
         depth_intrinsics: of the depth map as it is stored; the picture's, brought to the map's size, if None.
-        distortion: of the picture's lens.
         depth_distortion: of the lens of the depth map; None where it is free of any, as most are.
         exposure: seconds; None where it is not told.
     """

@@ -49,7 +49,6 @@ class CoarsePicture:
     """Picture of a level, to be interpolated.
 
     Attributes:
-        buffer: of its cells.
         factor: pixels along each side of a cell.
         schedule: by which it is interpolated.
         kappa: edge sensitivity of the level.
@@ -66,9 +65,7 @@ class CascadeWriter:
     """Writer of cascades to a program, which shares their buffers of the guide.
 
     Attributes:
-        program: to write to.
         guide: name of the guide's buffer.
-        features: channels of the guide.
         stage: of the launches.
     """
 

@@ -38,7 +38,6 @@ class LightRecords:
     """Lights for a shader.
 
     Attributes:
-        records: one for each light.
         views: origin and axes of each view of a shadow map.
         jobs: (light, view, 0, 0) of each.
         texels: of all shadow maps together.

@@ -47,9 +47,7 @@ class Buffer:
 
     Attributes:
         bytes: of each channel group; of the whole where there are no groups.
-        groups: number of channel groups.
         uniform: whether it is a uniform buffer, too.
-        initial: its initial numbers.
     """
 
     bytes: int
@@ -91,7 +89,6 @@ class Program:
 
     Attributes:
         size: (height, width) of pictures.
-        precision: of stored pictures.
         names: buffers of pictures for display: `raw`, `refined`, `visibility`, `image`; of sums: `visible totals`.
     """
 

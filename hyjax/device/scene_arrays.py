@@ -16,10 +16,8 @@ class SceneArrays:
     """Arrays of a scene for a device.
 
     Attributes:
-        counts: of the elements.
         vertices: of the mesh that casts shadows.
         occluders: its triangles, in the order of their tree.
-        faces: triangles of the scan.
         fields: position, normal, photo's light and albedo of each point of the light transport, vertices first.
         hits: radiator at the end of each ray of each point.
         sources: share of each source in the photo's light.

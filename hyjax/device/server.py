@@ -58,7 +58,6 @@ class FolderSite:
     """Site of the files of a folder, and nothing else.
 
     Attributes:
-        root: the folder.
         index: file for the folder itself.
     """
 

@@ -21,7 +21,6 @@ class DepthReading(NamedTuple):
 
     Attributes:
         depth: metres along the camera's axis, 0 where there is no reading.
-        camera: of the depth map.
         confidence: of each reading, in [0, 1]; None where the device does not tell.
     """
 

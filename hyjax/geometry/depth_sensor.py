@@ -8,7 +8,6 @@ class DepthSensor:
     """A kind of depth camera.
 
     Attributes:
-        name: in messages.
         far: metres beyond which readings are too coarse to fuse; None where it is not known.
         truncation: half width of the band around a surface in which it is fused, in voxels.
     """

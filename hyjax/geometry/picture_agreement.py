@@ -26,7 +26,6 @@ class PosedPicture(NamedTuple):
 
     Attributes:
         fine: fine structure of its grey values, see `fine_structure`.
-        camera: of the picture.
         reading: depth map; its camera has the pose of the picture's.
     """
 

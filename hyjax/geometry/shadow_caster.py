@@ -107,7 +107,6 @@ class MapLayout:
     Attributes:
         views: as the light declares them.
         size: texels a side, without the gutter.
-        origins, axes, texel, projection: see `ShadowMap`.
         half: half a parallel view's width, metres; 0 for other views.
     """
 

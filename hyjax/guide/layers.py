@@ -77,7 +77,6 @@ class ConvNorm(nnx.Module):
     """Convolution, batch norm, and a rectifier if wanted.
 
     Attributes:
-        conv: the convolution.
         norm: the batch norm: torch's momentum 0.1; None once it is folded into the convolution.
         names: of the two in torch, within the module that holds both.
     """

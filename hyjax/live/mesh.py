@@ -31,11 +31,7 @@ PATIENCE = 0.2
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Piece:
-    """Surface in a region, in world coordinates.
-
-    Attributes:
-        vertices, faces, normals: of its mesh.
-    """
+    """Surface in a region, in world coordinates."""
 
     vertices: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "m 3"]
@@ -55,7 +51,6 @@ class Cut:
     """Zero crossing in a region, in voxels from its corner.
 
     Attributes:
-        vertices, faces: of its mesh.
         distance: with a voxel before the region and two after it.
     """
 

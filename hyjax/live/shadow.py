@@ -22,8 +22,6 @@ class LiveSurface:
     """Surface at one moment.
 
     Attributes:
-        caster: of its mesh.
-        revision: number of the moment.
         bounds: least and largest coordinates, rounded outwards so that they seldom change.
     """
 

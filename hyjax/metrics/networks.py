@@ -16,8 +16,6 @@ class Convolution:
 
     Attributes:
         width: of its square kernel, in pixels.
-        inputs: channels.
-        outputs: channels.
         stride: in pixels.
         padding: zeros at each border.
         pool: width of the max pooling, with stride 2, of its input; 1 for none.

@@ -36,7 +36,6 @@ class GeneratedRooms:
     Neighbours share a room and come quickly in this order; every jump builds a room first.
 
     Attributes:
-        name: "rooms".
         unit: "metres".
     """
 

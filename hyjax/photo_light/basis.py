@@ -32,7 +32,6 @@ class Basis:
 
     Attributes:
         light: illuminance of each point by each unknown.
-        names: of the sources.
         source: which source each unknown belongs to.
         neighbours: pairs of likely similar unknowns.
     """

@@ -33,7 +33,6 @@ class Blob:
     """A burnt-out blob of a frame.
 
     Attributes:
-        sighting: number of its frame.
         direction: unit ray to its middle.
         radius: tangent of half the angle under which it is seen.
     """

@@ -53,8 +53,6 @@ class Estimate:
     """Photo's light on a scan, with the evidence for it.
 
     Attributes:
-        light: to relight with.
-        names: of its sources.
         exponent: of the brightness of E_old: 0 where dividing would do harm, 1 where it is believed.
         hue_exponent: of the hue of E_old, which is harder to separate from that of the surfaces.
         flatness: mean difference of log brightness on planes after the division over that before it, on pairs that

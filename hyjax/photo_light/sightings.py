@@ -20,7 +20,6 @@ class Sighting:
     """Coarse pixels of a frame: rays, depth and triangle of the surface, brightness.
 
     Attributes:
-        frame: its camera and picture.
         rays: of unit depth.
         depth: of the surface; infinite without.
         face: triangle that is seen, −1 without.

@@ -46,7 +46,6 @@ class RelitFrame:
     """Relit frame of a run.
 
     Attributes:
-        frame: as it was read.
         image: relit picture, linear; None where the frame sees no surface.
         compared: makes all stages, for one call; what it needs is kept until `forget`.
     """

@@ -259,7 +259,6 @@ class _Summary:
     Attributes:
         written: names of those that were relit.
         skipped: names of those that see no surface.
-        rows: of the contact sheet.
         size: (height, width) of the last one.
         dark: names of those that ended too dark, see `DarkShare`.
         frames_per_second: after the warm-up; None for a shorter run.

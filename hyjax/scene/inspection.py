@@ -37,8 +37,6 @@ class ShownFrame:
     """Frame in the picture of an inspection.
 
     Attributes:
-        title: name and time.
-        image: the picture, smaller.
         depth: metres, 0 where unknown; None without any.
     """
 
@@ -61,7 +59,6 @@ class Inspection:
     """Content of a capture.
 
     Attributes:
-        capture: the capture.
         sizes: (width, height) of the pictures that were read.
         exposures: seconds of the pictures that were read, where the device records them.
         seconds: from the first frame to the last.

@@ -46,7 +46,6 @@ class WindowPlace:
     """Window of a room.
 
     Attributes:
-        center: of the opening.
         inward: unit normal, into the room.
         width, height: in metres.
     """
@@ -83,14 +82,11 @@ class LightAnchors:
     """Places for light sources in a captured room. Metres, world axes.
 
     Attributes:
-        up: against gravity.
         focus: median point of the visible surface.
         points: two places in free space, above the focus and nearer to the viewer.
         lamps: the room's own lamps, and those of the stops that have none; `points` where there is a single stop
             without any.
         windows: the room's own windows, and those of the stops that none of these reaches.
-        stops: parts of the walk.
-        seen: visible surface.
     """
 
     up: Vector

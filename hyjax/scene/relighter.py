@@ -60,8 +60,6 @@ class LitFrame:
 
     Attributes:
         view: at the size that is worked at.
-        shaded: light on it.
-        features: of the guide.
         full: the frame at full size, where the view is smaller.
         light_edges: weights of the network that sharpens the photo's own light; None to leave it as it is.
     """

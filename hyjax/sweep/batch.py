@@ -28,9 +28,7 @@ class TaskBatch:
 
     Attributes:
         function: `module:name`, see `name_of`.
-        folder: for the rows.
         driver: identity of the driver; the batch ends when another has taken over.
-        tasks: one after the other.
     """
 
     function: str
@@ -44,10 +42,8 @@ class Outcome:
     """Outcome of a batch.
 
     Attributes:
-        rows: of finished tasks.
         failed: exceptions of tasks, by their key.
         seconds: of the tasks that were computed.
-        computed: number of these tasks.
         stopped: reason for not beginning the rest, if it concerns all tasks.
     """
 

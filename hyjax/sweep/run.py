@@ -35,12 +35,8 @@ class SweepResult:
     """Result of a sweep.
 
     Attributes:
-        out: its folder.
-        tasks: their number.
-        errors: one line each.
         repeated: tasks that were done more than once.
         damaged: lines of rows that were left out, as a kill or a full disk cut them off.
-        lines: of the summary.
     """
 
     out: Path

@@ -16,7 +16,6 @@ class Task:
     True
 
     Attributes:
-        payload: values in JSON's types.
         kind: of its row; the same payload makes another task of another kind.
     """
 

@@ -69,7 +69,6 @@ class Arrangement:
     """Place as a plan furnishes it; the light in it comes from caches.
 
     Attributes:
-        parts: of the scene.
         coarse: whether shadows of a light were coarse.
 
     Args:

@@ -34,7 +34,6 @@ class RenderedFrame:
     Attributes:
         picture: display-encoded, the stage that is shown.
         linear: the relit picture in linear light.
-        frame: the frame of the capture.
         milliseconds: by stage.
         draft: whether shadows are still coarse.
         unseen: whether some is grey that moved furniture has uncovered, as no photo shows it.

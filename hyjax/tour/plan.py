@@ -118,7 +118,6 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         day: date as 2026-06-21.
         latitude: degrees.
         north: degrees from the room's x axis to north, counter-clockwise seen from above.
-        weather: see `hyjax.tour.sky`.
         exposure: stops that the picture is brighter than the camera would make it.
         windows, lamps, pieces: what there is.
         existing: what is left of the sources that lit the photos, by name; those that are not named are off.

@@ -78,8 +78,6 @@ class Renderer:
     """Renders frames of a capture as a plan lights and furnishes them.
 
     Attributes:
-        capture: frames with poses.
-        up: against gravity.
         scene: the surface, which plans edit.
         lighting: lights of plans in it.
         photo_light: that the frames were taken under; None if it stays in the pictures.

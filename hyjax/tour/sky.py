@@ -42,9 +42,7 @@ class Sky:
     Attributes:
         toward: unit vector to the sun or the moon; (east, north, up).
         direct: lux of it on a surface that faces it; 0 if it is hidden or below the horizon.
-        direct_kelvin: its colour temperature.
         sky: lux of the rest of the sky on open level ground.
-        sky_kelvin: its colour temperature.
     """
 
     toward: Float[np.ndarray, "3"]

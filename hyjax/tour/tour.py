@@ -46,8 +46,6 @@ class Tour:
 
     Attributes:
         kept: what was set up last.
-        visitors: whose pages are open.
-        url: address of the page.
         arriving: frames that arrive; None unless the tour is live.
 
     Args:

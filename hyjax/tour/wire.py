@@ -31,10 +31,6 @@ _log = logging.getLogger(__name__)
 class Wire:
     """Server, on a thread of its own, until it is stopped.
 
-    Attributes:
-        loop: of its thread.
-        url: address of the page.
-
     Args:
         host, port: where to listen; port 0 for any free one.
     """

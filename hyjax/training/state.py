@@ -35,8 +35,6 @@ class TrainState:
     Attributes:
         weights: `network`, its parameters as nested dictionaries, and `log_kappa`, of the learned κ.
         statistics: running statistics of its batch norms, likewise.
-        optimizer: state of the optimiser.
-        iteration: updates so far.
     """
 
     weights: Tree
@@ -50,7 +48,6 @@ class Progress(NamedTuple):
 
     Attributes:
         loss: the weighted sum before the update.
-        parts: its parts.
         gradient: global norm of its gradient, before clipping.
         kappa: the learned κ before the update.
         sound: whether all of these and the new weights are finite.

@@ -24,7 +24,6 @@ class Case:
 
     Attributes:
         shaded: light on the rough mesh, without shadows: what the cascade repairs.
-        guide: features of the frame.
         frame: camera picture, linear.
         target: the filter as it should be, linear.
         valid: where `target` means anything.

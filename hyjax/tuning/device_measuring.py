@@ -42,9 +42,7 @@ class Round(Record, frozen=True):
     """Times of all schedules of a job in one round.
 
     Attributes:
-        job: its number.
         round: its number in the job, from 0.
-        milliseconds: of each schedule.
         warm_up: what ran before the first round.
         last: whether the time for rounds is over.
     """

@@ -49,7 +49,6 @@ class FrameObjective(Objective):
     """Mean loss over frames, relative to that of a configuration, of a point in the place of its cascade.
 
     Attributes:
-        lit, gains, targets: of each frame.
         configuration: of which the cascade is replaced.
         value: loss of a picture, see `PictureLoss.value`.
     """

@@ -105,9 +105,7 @@ class Point:
 
     Attributes:
         name: what is written beside it, if it is `named`.
-        kind: of `MARKERS`.
         x, p95: median time and its 95th percentile.
-        y: quality.
         measured: whether it was timed; hollow if not.
         best: whether it is the best for a budget.
         front: whether the line of the front goes through it.

@@ -43,7 +43,6 @@ class ScheduleClock:
     """Times of a frame's diffusion on a device, or of its whole frame.
 
     Attributes:
-        table: of the device.
         cost: of the 95th percentile, over the table's factors: what a search keeps below a budget.
         source: in a few words, where the times are from.
         device: name of the device, where it is not the one that searches; else empty.
@@ -174,7 +173,6 @@ class OwnTimes:
 
     Attributes:
         recalibrate: whether to time the schedules of the model anew, instead of taking them from the cache.
-        progress: show bars on stderr.
     """
 
     recalibrate: bool = False
@@ -190,12 +188,7 @@ class OwnTimes:
 
 @dataclasses.dataclass(frozen=True)
 class FileTimes:
-    """Factory of the clock of a latency file.
-
-    Attributes:
-        path: of the file.
-        whole_frame: see `ScheduleClock`.
-    """
+    """Factory of the clock of a latency file."""
 
     path: Path
     whole_frame: bool = False
@@ -216,7 +209,6 @@ class ConnectedTimes:
     """Factory of the clock of a device whose page is open.
 
     Attributes:
-        device: the device.
         kept: file that its times are written to; None for none.
         resume: take them from there if they are there.
         fingerprint: in the place of that of the times, which are not known yet.

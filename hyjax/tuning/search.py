@@ -50,14 +50,12 @@ class State:
     """A search as far as it has come.
 
     Attributes:
-        space: of the choices.
         batches: numbers of cases of the batches, growing.
         count: of trials on the first batch; half of them may be for screening.
         starts: choices that are tried first, such as presets'.
         relaxes: number of trials whose levels and steps are relaxed before the screening: the default's, then the
             best starts; 0 if they cannot be. If several, they come before numbers afterwards, too.
         turn: one in so many combinations is the best of a budget, made better by gradients.
-        seed: of the proposals.
         cost: time of choices over the default's where it is known; else the surrogate tells it.
         trials: so far, by key of their choices.
         tried: (improvement, key of the choices) that were asked for.

@@ -44,7 +44,6 @@ class Stage(abc.ABC):
     """Stage that a run tunes for.
 
     Attributes:
-        name: in the record.
         space: that is searched.
         cases: frames to tune on, in the order of batches.
         held_out: frames on which nothing is chosen.

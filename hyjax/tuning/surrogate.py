@@ -32,8 +32,6 @@ class Surrogate:
     """Predictions from trials.
 
     Attributes:
-        space: of the choices.
-        features: of the trials.
         weights: K⁻¹ y.
         factor: of K, by Cholesky.
         spread: s.

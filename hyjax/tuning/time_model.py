@@ -68,8 +68,6 @@ class TimeModel:
     """Times of choices over the default's, from trials.
 
     Attributes:
-        space: of the choices.
-        prices: of the stages.
         residual: of the logarithms of times over the sum of stages.
     """
 

@@ -17,7 +17,6 @@ class Trial:
     """Choices that are to be tried, or were.
 
     Attributes:
-        choices: of the space.
         phase: part of the search that asked for it.
         losses: on the cases so far, in their order, relative to the default's.
         time: of a frame, relative to the default's; None if it was not timed.

@@ -29,7 +29,6 @@ class Furnished:
         mesh: metres, z up; vertices are split at hard edges.
         look: row of the table of looks, for each face.
         uv: texture coordinates of each face's corners in metres.
-        looks: the table.
     """
 
     mesh: trimesh.Trimesh
@@ -42,7 +41,6 @@ class RoomBuilder(Builder):
     """Builder with looks as materials, which may also scale parts.
 
     Attributes:
-        looks: source of the looks.
         targets: (point, size) of objects worth a picture, in world metres; the layout adds them.
     """
 

@@ -136,11 +136,7 @@ def palette(rng: np.random.Generator, scheme: str) -> Float[np.ndarray, "4 3"]:
 
 
 class Looks:
-    """Looks of one room.
-
-    Attributes:
-        patterns: the bank.
-    """
+    """Looks of one room."""
 
     def __init__(self, patterns: Bank) -> None:
         self.patterns = patterns

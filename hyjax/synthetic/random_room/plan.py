@@ -15,7 +15,6 @@ class Top:
 
     Attributes:
         low, high: its corners (x, y).
-        z: its height.
         room: free height above it.
         kind: of its things: "things", "shelf" (upright, from the back) or "floor".
     """

@@ -33,9 +33,7 @@ class LitPicture(Lit):
     """Room under baked light, with hard light traced to every pixel.
 
     Attributes:
-        texels, maps: the light maps.
         hard, soft: lights whose shadows are traced, and rectangles.
-        openings: windows.
         bulbs: lamps that shine if they are lit.
         panes: factor of the view's texture in each window.
         sky: radiance through the windows in mirror images.

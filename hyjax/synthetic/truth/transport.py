@@ -39,7 +39,6 @@ class Maps:
     Attributes:
         soft: direct light of windows and panels.
         hard: direct light of bulbs, spots and the sun.
-        bounce: indirect light.
     """
 
     soft: Float[np.ndarray, "t 3"]
@@ -53,9 +52,6 @@ class TexelTransport:
     Args:
         scale: coarsens the texels.
         side: each texel casts side² rays for bounces, and as many towards each window and panel.
-
-    Attributes:
-        texels: of the light maps.
     """
 
     def __init__(
