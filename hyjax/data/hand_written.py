@@ -1,7 +1,10 @@
-"""Mappings of hand-written files: the first thing that is wrong with their keys."""
+"""Mappings of hand-written files: the first thing that is wrong with their keys, or with a value."""
 
-from collections.abc import Collection
+import re
+from collections.abc import Collection, Mapping
 from typing import Any
+
+import msgspec
 
 from hyjax.util.errors import InputError, did_you_mean, shown
 
@@ -22,3 +25,15 @@ def check_keys(where: str, content: Any, known: Collection[str], required: Colle
     for key in required:
         if key not in content:
             raise InputError(f"{where}: key {key!r} is missing")
+
+
+def converted(where: str, content: Any, kind: type[Any], forms: Mapping[str, str]) -> Any:
+    """An entry as a struct of msgspec; `forms` say what each of its keys must be."""
+    fields = msgspec.structs.fields(kind)
+    check_keys(where, content, [f.name for f in fields], [f.name for f in fields if f.required])
+    try:
+        return msgspec.convert(content, kind)
+    except msgspec.ValidationError as error:
+        at = re.search(r"\$\.(\w+)", str(error))
+        key = at[1] if at else fields[0].name
+        raise InputError(f"{where}: {key!r} must be {forms[key]}, got {content.get(key)!r:.80}") from None

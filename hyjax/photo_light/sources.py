@@ -16,7 +16,6 @@ Positions and lengths are in metres, in the capture's world axes.
 """
 
 import dataclasses
-import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,7 +23,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 
-from hyjax.data.hand_written import check_keys
+from hyjax.data.hand_written import converted
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Aperture
 from hyjax.util.arguments import checked_arguments
@@ -162,9 +161,9 @@ def source_entries(path: Path) -> tuple[list[_Window], list[_Lamp]]:
     Raises:
         InputError: no such file, or malformed.
     """
-    lists = _converted(str(path), read_yaml(path), _SourcesFile)
-    windows = [_converted(f"{path}: window {i}", entry, _Window) for i, entry in enumerate(lists.windows)]
-    lamps = [_converted(f"{path}: lamp {i}", entry, _Lamp) for i, entry in enumerate(lists.lamps)]
+    lists = converted(str(path), read_yaml(path), _SourcesFile, FORMS)
+    windows = [converted(f"{path}: window {i}", entry, _Window, FORMS) for i, entry in enumerate(lists.windows)]
+    lamps = [converted(f"{path}: lamp {i}", entry, _Lamp, FORMS) for i, entry in enumerate(lists.lamps)]
     if not windows and not lamps:
         raise InputError(f"{path}: names no window and no lamp")
     return windows, lamps
@@ -239,18 +238,6 @@ def _surface_points(mesh: Any) -> Float[np.ndarray, "n 3"]:
     chosen = np.random.default_rng(0).choice(len(areas), 20000, p=areas / areas.sum())
     weights = np.random.default_rng(1).dirichlet(np.ones(3), len(chosen))
     return np.concatenate([mesh.vertices, np.einsum("nk,nkd->nd", weights, corners[chosen])])
-
-
-def _converted(where: str, content: Any, form: Any) -> Any:
-    """Convert an entry of a file to its type, with one clear line for an error."""
-    fields = msgspec.structs.fields(form)
-    check_keys(where, content, [f.name for f in fields], [f.name for f in fields if f.required])
-    try:
-        return msgspec.convert(content, form)
-    except msgspec.ValidationError as error:
-        at = re.search(r"`\$\.(\w+)", str(error))
-        key = at[1] if at else fields[0].name
-        raise InputError(f"{where}: {key!r} must be {FORMS[key]}, got {content.get(key)!r}") from None
 
 
 def spoken(name: str) -> str:

@@ -12,7 +12,6 @@
 """
 
 import json
-import re
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,7 +19,7 @@ import msgspec
 
 from hyjax.configuration import Configuration
 from hyjax.data.frames import spread
-from hyjax.data.hand_written import check_keys
+from hyjax.data.hand_written import converted
 from hyjax.data.light_file import is_light_file
 from hyjax.scene.settings import check_lights_name
 from hyjax.tuning.rooms import ROOM_PREFIX, check_room
@@ -86,16 +85,14 @@ def read_spec(path: Path) -> Spec:
     """Read a spec; files in it get absolute paths."""
     where = str(path)
     content = read_yaml(path)
-    check_keys(where, content, list(FORMS), ["scenes", "lights", "configurations"])
-    draws = content["configurations"]
+    draws = content.get("configurations") if isinstance(content, dict) else None
     if isinstance(draws, dict):
         inside = f"{where}: configurations"
-        check_keys(inside, draws, list(DRAW_FORMS), ["space", "count"])
-        _convert(inside, draws, Draws, DRAW_FORMS)
+        converted(inside, draws, Draws, DRAW_FORMS)
         if draws["space"] not in SPACES:
             hint = did_you_mean(draws["space"], SPACES)
             raise InputError(f"{inside}: no space {draws['space']!r}{hint}; there is {', '.join(SPACES)}")
-    spec: Spec = _convert(where, content, Spec, FORMS)
+    spec: Spec = converted(where, content, Spec, FORMS)
     for name in ("scenes", "lights", "configurations", "seeds", "frames"):
         values = getattr(spec, name)
         if isinstance(values, list) and len(set(values)) < len(values):
@@ -105,15 +102,6 @@ def read_spec(path: Path) -> Spec:
         return _absolute(spec, path.resolve().parent)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
-
-
-def _convert(where: str, content: dict[str, Any], kind: type[Any], forms: dict[str, str]) -> Any:
-    try:
-        return msgspec.convert(content, kind)
-    except msgspec.ValidationError as error:
-        at = re.search(r"\$\.(\w+)", str(error))
-        assert at is not None
-        raise InputError(f"{where}: {at[1]!r} must be {forms[at[1]]}, got {content[at[1]]!r:.80}") from None
 
 
 def _absolute(spec: Spec, folder: Path) -> Spec:
