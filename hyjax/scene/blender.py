@@ -21,13 +21,13 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import trimesh
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from hyjax.geometry.camera import Camera
 from hyjax.light.gbuffer import GBuffer
@@ -38,27 +38,10 @@ from hyjax.light.shaded import Shaded
 from hyjax.light.view import View
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_image
-from hyjax.util.vectors import perpendicular, unit
 
 WORKER = Path(__file__).with_name("blender_worker.py")
-SURFEL_CORNERS = 6
-SURFEL_BIAS = 3.0
-"""Distance, in radii, within which a surfel casts no shadow: neighbouring surfels cut into each other."""
 ANSWER = "@hyjax "
 """Prefix of the worker's lines of answer."""
-
-
-class Surfels(Protocol):
-    """Points with unit normals and radii in metres."""
-
-    @property
-    def points(self) -> Float[np.ndarray, "n 3"]: ...
-
-    @property
-    def normals(self) -> Float[np.ndarray, "n 3"]: ...
-
-    @property
-    def radius(self) -> Float[np.ndarray, "n"]: ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +75,7 @@ class BlenderRenderer:
     """Scene in a process of Blender, as a context manager.
 
     Args:
-        geometry: a mesh, shaded by its vertex normals, or points, each of which becomes a small hexagon.
+        mesh: shaded by its vertex normals.
         lights: at least one, of any kinds.
         shadows: whether lights cast shadows; without, `visibility` is 1 and costs nothing.
         samples: rays per pixel to a light with an extent. A light without needs one, and is exact.
@@ -100,7 +83,7 @@ class BlenderRenderer:
 
     def __init__(
         self,
-        geometry: trimesh.Trimesh | Surfels,
+        mesh: trimesh.Trimesh,
         lights: Sequence[Light],
         *,
         shadows: bool = True,
@@ -111,13 +94,7 @@ class BlenderRenderer:
         if samples < 1:
             raise InputError(f"blender: samples must be at least 1, got {samples}")
         python = blender_python()
-        bias = 0.0
-        if isinstance(geometry, trimesh.Trimesh):
-            vertices, faces = np.asarray(geometry.vertices), np.asarray(geometry.faces)
-            normals = np.asarray(geometry.vertex_normals)
-        else:
-            vertices, faces, normals = hexagons(geometry)
-            bias = SURFEL_BIAS * float(np.median(geometry.radius))
+        vertices = np.asarray(mesh.vertices)
         # Cycles computes in float32, so everything is moved to the middle of the scene.
         self._center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         self._lights, self._shadows, self._samples = lights, shadows, samples
@@ -128,9 +105,9 @@ class BlenderRenderer:
         with contextlib.ExitStack() as stack:
             self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hyjax-blender-")))
             described = [_describe(emitter, self._center) for emitter in self._emitters]
-            arrays = {"vertices": vertices - self._center, "faces": faces, "normals": normals}
-            np.savez(self._folder / "geometry.npz", **arrays)
-            job = json.dumps({"lights": described, "bias": bias})
+            arrays = {"faces": np.asarray(mesh.faces), "normals": np.asarray(mesh.vertex_normals)}
+            np.savez(self._folder / "geometry.npz", vertices=vertices - self._center, **arrays)
+            job = json.dumps({"lights": described})
             (self._folder / "job.json").write_text(job, encoding="utf-8")
             self._log = stack.enter_context((self._folder / "log.txt").open("w+", encoding="utf-8"))
             self._process = stack.enter_context(_process(python, self._folder, self._log))
@@ -225,20 +202,6 @@ def blender_python() -> str:
         "blender: no bpy here; pip install bpy on Python 3.13, or install bpy in an environment of "
         "its own (bpy 5.0 needs Python 3.11, later ones 3.13) and set HYJAX_BLENDER to its python"
     )
-
-
-def hexagons(
-    cloud: Surfels,
-) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "n 6"], Float[np.ndarray, "v 3"]]:
-    """Hexagons across the points' normals, of the area of a disc of their radius: vertices, polygons, normals."""
-    points, normals = np.asarray(cloud.points, np.float64), np.asarray(cloud.normals, np.float64)
-    aside = unit(perpendicular(normals))
-    angle = np.arange(SURFEL_CORNERS) * (2 * np.pi / SURFEL_CORNERS)
-    reach = np.sqrt(2 * np.pi / (SURFEL_CORNERS * np.sin(2 * np.pi / SURFEL_CORNERS)))
-    spokes = np.cos(angle)[:, None] * aside[:, None] + np.sin(angle)[:, None] * np.cross(normals, aside)[:, None]
-    corners = points[:, None] + reach * np.asarray(cloud.radius)[:, None, None] * spokes
-    faces = np.arange(len(points) * SURFEL_CORNERS).reshape(-1, SURFEL_CORNERS)
-    return corners.reshape(-1, 3), faces, np.repeat(normals, SURFEL_CORNERS, axis=0)
 
 
 @contextlib.contextmanager

@@ -2,7 +2,7 @@
 
     python -P blender_worker.py FOLDER
 
-FOLDER holds `geometry.npz` (vertices, faces, normals) and `job.json` (lights, bias). Each line on stdin is a camera
+FOLDER holds `geometry.npz` (vertices, faces, normals) and `job.json` (lights). Each line on stdin is a camera
 and the pictures to render with it, as JSON. Each picture becomes the EXR file that it names; `@hyjax done` on
 stdout answers.
 
@@ -33,7 +33,7 @@ def main() -> None:
     folder = Path(sys.argv[1])
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
     with np.load(folder / "geometry.npz") as geometry:
-        scene = BlenderScene(**geometry, bias=job["bias"])
+        scene = BlenderScene(**geometry)
     lamps = [light and scene.add_lamp(light) for light in job["lights"]]
     print("@hyjax ready", flush=True)
     for line in sys.stdin:
@@ -50,12 +50,11 @@ def main() -> None:
 class BlenderScene:
     """Blender scene: one surface, one camera, lamps of which one at a time is on."""
 
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, bias: float) -> None:
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> None:
         self.scene = bpy.context.scene
         for thing in list(self.scene.objects):
             bpy.data.objects.remove(thing)
         _set_up(self.scene)
-        self.bias = bias
         self.paint = Paint()
         self.surface = self._add(_mesh("surface", vertices, faces, normals))
         self.surface.data.materials.append(self.paint.material)
@@ -126,7 +125,7 @@ class BlenderScene:
         # The sky is found by rays that leave the surface as reflections do.
         self.surface.visible_shadow = self.surface.visible_diffuse = shadows
         self._set_sky(light)
-        self.paint.expose(light if shadows else {}, self.bias if shadows else 0.0)
+        self.paint.expose(light if shadows else {})
 
     def _set_sky(self, light: dict[str, Any]) -> None:
         """Set the sky: a white hemisphere around `up`; black for any other light."""
@@ -151,8 +150,8 @@ class BlenderScene:
 class Paint:
     """White diffuse paint, some of which lets shadow rays through.
 
-    Surfaces nearer to a lamp than its clearance, before the opening, or nearer to the receiver than `bias` cast no
-    shadow. Before the opening the paint is black, too: no light comes in through it.
+    Surfaces nearer to a lamp than its clearance, or before the opening, cast no shadow. Before the opening the
+    paint is black, too: no light comes in through it.
     """
 
     def __init__(self) -> None:
@@ -160,7 +159,7 @@ class Paint:
         self.material.use_nodes = True
         self.tree = self.material.node_tree
 
-    def expose(self, light: dict[str, Any], bias: float) -> None:
+    def expose(self, light: dict[str, Any]) -> None:
         """Rebuild the paint for one light's shadows."""
         tree = self.tree
         tree.nodes.clear()
@@ -171,8 +170,6 @@ class Paint:
         ray = tree.nodes.new("ShaderNodeLightPath").outputs
         place = tree.nodes.new("ShaderNodeNewGeometry").outputs["Position"]
         exempt = []
-        if bias > 0:
-            exempt.append(_math(tree, "LESS_THAN", ray["Ray Length"], bias))
         if light.get("clearance", 0.0) > 0:
             away = _math(tree, "DISTANCE", place, light["position"])
             exempt.append(_math(tree, "LESS_THAN", away, light["clearance"]))

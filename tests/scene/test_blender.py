@@ -8,7 +8,6 @@ import importlib.util
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -38,7 +37,7 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.relighting.run import relight_capture
 from hyjax.relighting.settings import RelightSettings
-from hyjax.scene.blender import BlenderRenderer, Rendering, blender_python, hexagons
+from hyjax.scene.blender import BlenderRenderer, Rendering, blender_python
 from hyjax.scene.light_places import survey_capture
 from hyjax.scene.light_setups import named_setup
 from hyjax.scene.scene import Scene
@@ -202,43 +201,6 @@ def test_a_relit_capture_looks_the_same(tmp_path: Path) -> None:
         pictures[renderer] = read_image(tmp_path / renderer / "015.relit.exr")
     ours, theirs = pictures.values()
     assert 0 < np.mean(np.abs(theirs - ours)) < 0.03 * np.mean(ours)
-
-
-@needs_blender
-@pytest.mark.slow
-def test_points_are_drawn_as_surfels(camera: Camera) -> None:
-    """Two spheres of points, one throwing its shadow on the other, against the spheres' meshes."""
-    spheres = [((0.0, 0.0, 0.5), 0.6), ((0.5, -0.3, 1.3), 0.15)]
-    normals = np.concatenate([trimesh.creation.icosphere(subdivisions=5).vertices] * 2)
-    count = len(normals) // 2
-    middles = np.repeat([middle for middle, _ in spheres], count, axis=0)
-    radii = np.repeat([radius for _, radius in spheres], count)
-    cloud = SimpleNamespace(points=middles + radii[:, None] * normals, normals=normals, radius=0.035 * radii)
-    mesh = trimesh.util.concatenate(
-        [trimesh.creation.icosphere(subdivisions=5, radius=r).apply_translation(c) for c, r in spheres]
-    )
-    light = dataclasses.replace(POINT, position=vec(0.9, -0.6, 2.0))
-    with BlenderRenderer(mesh, [light]) as blender:
-        true = blender.render(camera)
-    with BlenderRenderer(cloud, [light]) as blender:
-        drawn = blender.render(camera)
-    assert np.mean(true.hit != drawn.hit) < 0.01
-    lit = (true.shading[..., 0] > 0.1 * true.shading.max()) & drawn.hit
-    assert np.median(np.abs(drawn.shading / np.where(lit[..., None], true.shading, 1.0) - 1)[lit]) < 0.02
-    assert true.visibility[lit].min() < 0.01
-    assert np.mean(np.abs(drawn.visibility - true.visibility)[lit] > 0.1) < 0.03
-
-
-def test_a_hexagon_is_as_large_as_its_disc() -> None:
-    normals = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]])
-    cloud = SimpleNamespace(points=np.array([[1.0, 2, 3], [0, 0, 0]]), normals=normals, radius=np.array([0.1, 2.0]))
-    vertices, faces, at_corners = hexagons(cloud)
-    for face, point, normal, radius in zip(faces, cloud.points, normals, cloud.radius):
-        corners = vertices[face] - point
-        np.testing.assert_allclose(corners @ normal, 0.0, atol=1e-12)
-        area = 0.5 * np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
-        np.testing.assert_allclose(area, np.pi * radius**2 * normal, rtol=1e-12, atol=1e-12)
-        np.testing.assert_array_equal(at_corners[face], np.tile(normal, (6, 1)))
 
 
 # ---- bad input ----
