@@ -137,7 +137,7 @@ def picture_file(
     from PIL import Image
 
     pixels, file = display if display.dtype == np.uint8 else to_bytes(display), io.BytesIO()
-    Image.fromarray(pixels).save(file, form, **options)
+    Image.fromarray(pixels[..., 0] if pixels.shape[-1] == 1 else pixels).save(file, form, **options)
     return file.getvalue()
 
 
