@@ -8,7 +8,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from hyjax.geometry.rasterizer import RasterView, constant, share_out
 from hyjax.geometry.raycast import RayCaster
@@ -80,27 +80,6 @@ def _cast(caster: RayCaster, views: ShadowViews | None, scale: float, folder: Pa
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class TexelRays:
-    """Rays through texels of a view of a shadow map.
-
-    Attributes:
-        starts, directions: in world coordinates.
-        lead: distance along the map's rays at which they start.
-        open: whether light starts there at all; None if it does everywhere.
-    """
-
-    starts: Float[np.ndarray, "n 3"]
-    directions: Float[np.ndarray, "n 3"]
-    lead: float | Float[np.ndarray, "n"] = 0.0
-    open: Bool[np.ndarray, "n"] | None = None
-
-    def depth(self, caster: RayCaster) -> Float[np.ndarray, "n"]:
-        """The texels' distances."""
-        depth = np.asarray(self.lead + caster.cast(self.starts, self.directions).distance)
-        return depth if self.open is None else np.where(self.open, depth, -np.inf)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class MapLayout:
     """Layout of a light's texels in its shadow map, before anything is cast.
 
@@ -147,30 +126,8 @@ class MapLayout:
         """Views."""
         return self.views.count
 
-    def rays(self, view: int) -> TexelRays:
-        """Rays of a view through all texels, gutter included, row by row: the reference for `cast`."""
-        local_starts, local = _texel_rays(self.size, self.projection)
-        if isinstance(self.views, RadialViews):
-            # Maps of rays that start in one point each. The rows of `axes` are orthogonal: its inverse is its
-            # transpose over their squared lengths.
-            axes, near = self.views.axes, self.views.near
-            directions = local @ (axes * np.sum(axes**2, axis=1, keepdims=True) ** -1)
-            return TexelRays(self.origins[view] + near * directions, directions, near)
-        frame = orthonormal_frame(self.views.directions)[view]
-        starts = self.half * (local_starts @ frame)
-        directions = np.broadcast_to(frame[2], starts.shape)
-        if self.views.aperture is None:
-            return TexelRays(self.origins[view] + starts, directions)
-        # Rays that start in an opening. Beside the opening no light starts: all is dark.
-        right, up = (np.asarray(a, np.float64) for a in (self.views.aperture.right, self.views.aperture.up))
-        normal = np.cross(right, up)
-        to_opening = -(starts @ normal) / (frame[2] @ normal)
-        starts = starts + to_opening[:, None] * frame[2]
-        inside = (np.abs(starts @ right) <= right @ right) & (np.abs(starts @ up) <= up @ up)
-        return TexelRays(self.origins[view] + starts, directions, to_opening, inside)
-
     def raster_view(self, view: int) -> RasterView:
-        """View whose rays are `rays`; the gutter of an octahedral map stays empty."""
+        """View whose rays run through the texels; the gutter of an octahedral map stays empty."""
         pieces, spans, norm = _raster_map(self.size, self.projection)
         axes, origin = self.axes[view], self.origins[view]
         if isinstance(self.views, RadialViews):

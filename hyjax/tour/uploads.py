@@ -16,6 +16,7 @@ from hyjax.tour.renderer import Renderer
 from hyjax.tour.tasks import camera_of
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write
+from hyjax.util.memory import release_freed_memory
 
 MOST_UPLOADED = 64 * 2**20
 """Bytes of a file; four times as many are on their way at most."""
@@ -66,6 +67,8 @@ class Uploads:
             if isinstance(error, InputError):
                 raise InputError(str(error).replace(str(path), message.name)) from None
             raise
+        finally:
+            release_freed_memory()  # of a mesh
 
     def _standing(self, message: Message, file: str) -> Piece:
         """Piece on the floor before the camera."""

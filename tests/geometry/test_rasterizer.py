@@ -21,6 +21,7 @@ from hyjax.geometry.shadow_caster import MapLayout
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Aperture, DirectionalLight, Light, PointLight, RectLight, SkyLight, SpotLight
 from hyjax.util.errors import InputError
+from tests.reference.texel_rays import texel_distances
 
 seeds = st.integers(0, 2**31)
 WHITE = np.ones(3, np.float32)
@@ -178,7 +179,7 @@ def test_shadow_maps_are_those_of_rays(name: str, scale: float) -> None:
     assert name.startswith(layout.projection)
     caster = RayCaster(mesh)
     depth = np.asarray(layout.cast(caster).depth)
-    rays = np.stack([layout.rays(view).depth(caster) for view in range(layout.count)]).reshape(depth.shape)
+    rays = np.stack([texel_distances(layout, view, caster) for view in range(layout.count)]).reshape(depth.shape)
     with np.errstate(invalid="ignore"):
         same = (depth == rays) | (np.abs(depth - rays) < 1e-4 * np.maximum(np.abs(rays), 1.0))
     assert (~same).mean() < 1e-3
