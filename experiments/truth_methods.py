@@ -15,7 +15,7 @@ from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.guide.edge_weights import edge_weights
 from hyjax.light.photo_light import EVEN_RANGE, LEAST_PHOTO_LIGHT, SurfaceLight
-from hyjax.light.relit import Relit, composite_linear
+from hyjax.light.relit import Relit, compared, relit_picture
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
 from hyjax.light.view import View
@@ -203,4 +203,5 @@ def _smoothed(view: View, shaded: Shaded) -> Relit | None:
     channels = [smooth(np.ascontiguousarray(each), *SMOOTHER_OPTION) for each in np.moveaxis(weighted, -1, 0)]
     illuminance = np.stack(channels[:-1], axis=-1) / np.maximum(channels[-1], 1e-3)[..., None]
     visibility = refine_visibility(shaded, view.display, SHARP)
-    return composite_linear(view.frame, shaded, jnp.asarray(illuminance), visibility)
+    refined = view.frame, shaded, jnp.asarray(illuminance), visibility
+    return compared(*refined, *relit_picture(*refined))

@@ -37,21 +37,6 @@ class Relit:
     image: Float[Array, "h w 3"]
 
 
-def composite_linear(
-    frame: Float[Array, "h w 3"],
-    shaded: Shaded,
-    illuminance: Float[Array, "h w c"],
-    visibility: Float[Array, "h w l"],
-) -> Relit:
-    """Relit picture in linear light (Eq. 1), with its stages.
-
-    Args:
-        frame: camera picture, linear.
-    """
-    relight_filter, image = relit_picture(frame, shaded, illuminance, visibility)
-    return compared(frame, shaded, illuminance, visibility, relight_filter, image)
-
-
 @jax.jit
 def relit_picture(
     frame: Float[Array, "h w 3"],
@@ -59,10 +44,7 @@ def relit_picture(
     illuminance: Float[Array, "h w c"],
     visibility: Float[Array, "h w l"],
 ) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
-    """Relight filter and relit picture, linear; arguments as of `composite_linear`.
-
-    Pixels of the frame that are not finite are black.
-    """
+    """Relight filter and relit picture, linear (Eq. 1). Pixels of the frame that are not finite are black."""
     frame = finite_or_zero(frame)
     direct, fields = _split(illuminance, shaded)
     light = _light(direct * visibility, shaded, fields)
@@ -79,7 +61,7 @@ def compared(
     relight_filter: Float[Array, "h w 3"],
     image: Float[Array, "h w 3"],
 ) -> Relit:
-    """Stages of a relit frame for comparison; arguments as of `composite_linear` and `relit_picture`."""
+    """Stages of a relit frame for comparison; arguments and results of `relit_picture`."""
     frame = finite_or_zero(frame)
     samples = (
         _divide(_light(channels, shaded, shaded.surface_fields), shaded, shaded.surface_fields)

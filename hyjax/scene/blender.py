@@ -105,8 +105,9 @@ class BlenderRenderer:
         with contextlib.ExitStack() as stack:
             self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hyjax-blender-")))
             described = [_describe(emitter, self._center) for emitter in self._emitters]
-            arrays = {"faces": np.asarray(mesh.faces), "normals": np.asarray(mesh.vertex_normals)}
-            np.savez(self._folder / "geometry.npz", vertices=vertices - self._center, **arrays)
+            faces, normals = np.asarray(mesh.faces), np.asarray(mesh.vertex_normals)
+            moved = vertices - self._center
+            np.savez(self._folder / "geometry.npz", vertices=moved, faces=faces, normals=normals)
             job = json.dumps({"lights": described})
             (self._folder / "job.json").write_text(job, encoding="utf-8")
             self._log = stack.enter_context((self._folder / "log.txt").open("w+", encoding="utf-8"))
