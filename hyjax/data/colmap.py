@@ -70,7 +70,7 @@ def open_colmap(tree: FileTree) -> Capture:
     assert found is not None
     folder, kind = found
     model = _read_model(tree, folder, kind)
-    top = _workspace(tree, folder)
+    top = _workspace(folder)
     pictures = _pictures(tree, top)
     faults = Tally()
     chosen: dict[str, Any] = {}
@@ -126,7 +126,7 @@ def _model(tree: FileTree) -> tuple[str, str] | None:
     return None
 
 
-def _workspace(tree: FileTree, model: str) -> str:
+def _workspace(model: str) -> str:
     """Folder of a model's `images/`: in the workspace that the model is of, else at the top."""
     return next((w for w in WORKSPACES if model.startswith(w)), "")
 

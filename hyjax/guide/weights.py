@@ -59,7 +59,7 @@ def save_guide(
     """
     tensors: Arrays = {}
     for name, variable in named_variables(network).items():
-        array = to_torch_layout(np.asarray(variable[...], np.float32), name)
+        array = to_torch_layout(np.asarray(variable[...], np.float32))
         if not np.isfinite(array).all():
             raise InputError(f"{path}: {name} is not finite; it cannot be saved")
         largest = float(np.abs(array).max())
@@ -202,7 +202,7 @@ def named_variables(network: GuideNetwork) -> dict[str, Any]:
     return named
 
 
-def to_torch_layout(array: Shaped[np.ndarray, "..."], name: str) -> Shaped[np.ndarray, "..."]:
+def to_torch_layout(array: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "..."]:
     """Kernels outputs first, k×k last."""
     return array.transpose(3, 2, 0, 1) if array.ndim == 4 else array
 

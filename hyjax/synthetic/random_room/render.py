@@ -47,13 +47,13 @@ def shoot(
     pixel = 1.0 / camera.intrinsics.fx
     hit = hits.hit
     irradiance, shine = _light(room, caster, lighting, points, hits, rays, (h, w), camera, rng)
-    color = _radiance(room, caster, hits, rays, points, irradiance, pixel)
+    color = _radiance(room, hits, rays, points, irradiance, pixel)
     sky = rng.uniform(0.6, 4.0) * np.mean([p.color for p in lighting.panels], axis=0)
     color[~hit] = _outside(rays[~hit], sky, rng)
     color += shine + _mirror(room, caster, lighting, hits, rays, points)
     picture = color.reshape(h, w, 3)
     edge = _shared(room, hits, points, (h, w))
-    picture[edge] = _antialias(room, caster, camera, edge, picture, points, irradiance, rng)
+    picture[edge] = _antialias(room, caster, camera, edge, picture, points, irradiance)
     normal = np.where(hit[:, None], points.normal @ camera.pose[:3, :3].astype(np.float32), 0)
     depth = np.where(hit, hits.distance, 0).astype(np.float32)
     normal, light = (x.reshape(h, w, 3).astype(np.float32) for x in (normal, irradiance))
@@ -139,7 +139,6 @@ def _spread(
 
 def _radiance(
     room: RandomRoom,
-    caster: RayCaster,
     hits: Hits,
     rays: np.ndarray,
     points: Points,
@@ -212,7 +211,6 @@ def _antialias(
     picture: np.ndarray,
     points: Points,
     irradiance: np.ndarray,
-    rng: np.random.Generator,
 ) -> Float[np.ndarray, "n 3"]:
     """Average further rays through the chosen pixels, each in the light of the most similar neighbour."""
     h, w = edge.shape
@@ -236,7 +234,7 @@ def _antialias(
             cost = off * 20 + 1 - dot(here.normal, there.normal)
             better = cost < best - 1e-4
             best[better], chosen[better] = cost[better], near[better]
-        color = _radiance(room, caster, hits, rays, here, rows(irradiance, chosen), 1 / k.fx)
+        color = _radiance(room, hits, rays, here, rows(irradiance, chosen), 1 / k.fx)
         missed = ~hits.hit
         color[missed] = rows(picture.reshape(-1, 3), chosen[missed])
         total += np.minimum(color, top)
