@@ -12,7 +12,7 @@ from .mutations import CLASSICS
 from .readers import READERS
 from .runner import run
 
-FEW, MANY = 20, 300
+FEW, MANY = 20, 120
 
 
 @pytest.mark.parametrize("name", READERS)
