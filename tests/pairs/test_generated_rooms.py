@@ -19,7 +19,7 @@ from hyjax.synthetic.random_room.views import LEAST_DEPTH, draw_view
 from hyjax.util.errors import InputError
 
 SIZE = 96
-COUNT = 16
+COUNT = 12
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,7 @@ def edges(pair: DepthPair) -> tuple[np.ndarray, np.ndarray]:
 def test_texture_is_no_border_and_borders_are_seen() -> None:
     """What the pairs are for: plenty of edges in the picture where the surface has none, and not the reverse."""
     rooms = GeneratedRooms(0, size=160, views=1)
-    color, border = (np.stack(a) for a in zip(*(edges(rooms[k]) for k in range(12))))
+    color, border = (np.stack(a) for a in zip(*(edges(rooms[k]) for k in range(8))))
     near_border = np.stack([maximum_filter(b, 5) for b in border])
     near_color = np.stack([maximum_filter(c, 5) for c in color])
     assert color.mean() > 0.05 and 0.02 < border.mean() < 0.4
@@ -168,7 +168,7 @@ def test_same_in_every_process(pairs: list[DepthPair]) -> None:
 
 def test_same_in_any_order_and_from_threads(pairs: list[DepthPair]) -> None:
     again = GeneratedRooms(0, size=SIZE)
-    order = [9, 1, 8, 0, 13]
+    order = [9, 1, 8, 0, 5]
     with ThreadPoolExecutor(3) as pool:
         assert all(same(found, pairs[k]) for k, found in zip(order, pool.map(again.__getitem__, order)))
 
