@@ -1,6 +1,7 @@
 """Every experiment that no other file runs, from its options to rows, tables and figures, as small as it goes."""
 
 import dataclasses
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +113,7 @@ def test_bench_peers(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     found = bench_peers.peers.optional
     # torch takes minutes to compile, and is compared with in tests of its own.
     monkeypatch.setattr(bench_peers.peers, "optional", lambda name: None if name == "torch" else found(name))
+    monkeypatch.setattr(bench_peers, "TuneScene", functools.partial(bench_peers.TuneScene, size=str(SIZE)))
     monkeypatch.setattr(bench_peers, "CASCADE_SIZE", SIZE)
     monkeypatch.setattr(bench_peers, "GUIDE_SIZES", (SIZE,))
     monkeypatch.setattr(bench_peers.peers, "STRENGTHS", bench_peers.peers.STRENGTHS[:1])
@@ -136,6 +138,8 @@ def test_bench_peers(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.slow
 def test_truth(weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for place, name in ((truth, "TruthBench"), (truth, "LitBench"), (truth.LitBench, "pictures")):
+        monkeypatch.setattr(place, name, functools.cache(getattr(place, name)))
     config = truth.Config(
         rooms=("builtin-0",), setups=("evening-lamps",), frames=1, photos=2, size="96x72", quality=0.25,
         weights=weights, out=tmp_path,
@@ -148,7 +152,7 @@ def test_truth(weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     for scores in found.values():
         assert 3 < scores["raw"]["psnr"] < scores["fitted"]["psnr"] + 0.2 and len(scores["gains"]) == 3
     assert found[TRUE_ALL]["fitted"]["psnr"] > found[PHOTO]["fitted"]["psnr"]
-    # An interrupted run goes on without judging again what it has.
+    # An interrupted run goes on without judging again what it has, or, here, relighting it for the sheet.
     lines = (tmp_path / FILE).read_text().splitlines(keepends=True)
     (tmp_path / FILE).write_text("".join(line for line in lines if '"kind": "picture"' in line))
     monkeypatch.setattr(truth, "judge", None)

@@ -19,7 +19,7 @@ from hyjax.training.targets import Sample
 from hyjax.training.validation import sample_of
 
 SETTINGS = TrainSettings(factors=(16,))
-KAPPAS = (1, 2, 4, 8)
+KAPPAS = (2, 4, 8)
 """In multiples of the usual one; every guide gets the best of them."""
 MEASURE = jax.jit(functools.partial(batch_losses, settings=SETTINGS))
 
