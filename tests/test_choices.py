@@ -57,7 +57,7 @@ def row() -> Iterator[Choice]:
 
 @pytest.mark.slow
 def test_a_choice_from_outside_is_relit(row: Choice) -> None:
-    room = load_room(n_frames=2, width=160, height=120, quality=0.25, progress=False)
+    room = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
     scene = hyjax.Scene.open(hyjax.SceneSettings(), capture=room)
 
     def picture(tint: float) -> np.ndarray:

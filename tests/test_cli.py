@@ -1,7 +1,6 @@
 """The commands as a person runs them: as processes."""
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -26,17 +25,16 @@ POINT = {"kind": "point", "position": [2.2, 2.6, 1.5], "luminous_flux": 2000}
 Done = subprocess.CompletedProcess[str]
 
 
-def hyjax(*arguments: object, **environment: str) -> Done:
-    command = [HYJAX, *map(str, arguments)]
-    env = os.environ | environment
-    return subprocess.run(command, capture_output=True, text=True, env=env, timeout=300, check=False)
+def hyjax(*arguments: object) -> Done:
+    return subprocess.run([HYJAX, *map(str, arguments)], capture_output=True, text=True, timeout=300, check=False)
 
 
-def relight(*arguments: object, **environment: str) -> Done:
-    done = hyjax("relight", "--quiet", *arguments, **environment)
-    assert done.returncode == 0, done.stderr
-    assert "Warning" not in done.stderr
-    return done
+def relight(*arguments: object) -> None:
+    """Relight in this process, where a warning is an error: `first` is the command in one of its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["hyjax", "relight", "--quiet", *map(str, arguments)])
+        patch.setattr("hyjax.cli.defer_interrupts", lambda: None)
+        main()
 
 
 def opens(out: Path) -> int:
@@ -64,8 +62,21 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two small frames of the built-in room with everything written."""
     out = tmp_path_factory.mktemp("first") / "out"
     extras = ("--save-filters", "--save-visibility", "--exr")
-    done = relight("--frames", "0:24:12", "--size", "160x120", "--lights", "two-colors", *extras, "--out", out)
-    assert "2 frames relit" in done.stdout and str(out / "contact_sheet.png") in done.stdout and done.stderr == ""
+    done = hyjax(
+        "relight",
+        "--quiet",
+        "--frames",
+        "0:24:12",
+        "--size",
+        "160x120",
+        "--lights",
+        "two-colors",
+        *extras,
+        "--out",
+        out,
+    )
+    assert done.returncode == 0 and done.stderr == ""
+    assert "2 frames relit" in done.stdout and str(out / "contact_sheet.png") in done.stdout
     return out
 
 
@@ -202,7 +213,7 @@ def test_interrupted_runs_leave_whole_files(tmp_path: Path) -> None:
     # A background job is started with SIGINT ignored, and so would be what it starts.
     code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     code += "from hyjax.cli import main; main()"
-    options = ["--size", "320x240", "--save-filters", "--exr", "--lights", "two-colors", "--out"]
+    options = ["--size", "160x120", "--save-filters", "--exr", "--lights", "two-colors", "--out"]
     command = [sys.executable, "-c", code, "relight", *options]
     with subprocess.Popen([*command, str(tmp_path)], stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 240

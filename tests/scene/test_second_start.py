@@ -12,7 +12,7 @@ from hyjax.data.builtin_room import load_room
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 
-room = load_room(n_frames=2, width=160, height=120, quality=0.25, progress=False)
+room = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
 scene = Scene.open(SceneSettings(), capture=room)
 maps = scene.shadow_maps(scene.lights("golden-hour"))
 seen = scene.gbuffer(room.camera(0), rays=True)
