@@ -17,7 +17,7 @@ def test_a_few_steps_write_weights_that_the_default_takes(tmp_path: Path, monkey
     for name, value in {"SIZE": 72, "CROP": 64, "VIEWS": 2, "WARM_UP": 1}.items():
         monkeypatch.setattr(light_edges, name, value)
     monkeypatch.setenv("HYJAX_CACHE", str(tmp_path / "cache"))
-    rows = light_edges.main(light_edges.Config(rooms=1, steps=100, out=tmp_path / "out"))
+    rows = light_edges.main(light_edges.Config(rooms=1, steps=20, out=tmp_path / "out"))
     held = [row for row in rows if row["kind"] == "held out"]
     assert len(held) == 1 and all(np.isfinite(held[0][key]) for key in ("log_light", "difference_before"))
     written, _ = read_tensors(tmp_path / "out" / "light_edges.safetensors")

@@ -56,7 +56,6 @@ def light_options(**options: object) -> Configuration:
 CONFIGURATIONS = {
     "default": Configuration(),
     "half the size": dataclasses.replace(Configuration(), scale=2),
-    "no bounces": light_options(bounces=False),
 }
 
 
