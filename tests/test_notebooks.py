@@ -39,15 +39,19 @@ SMALL_WIDGET = {
     "SceneSettings()": f'SceneSettings(size="{SMALL_ROOM}")',
     'explore(lights="evening-lamps")': f"explore(configuration={EVERY_PIXEL})",  # programs of notebook 02's cells
 }
+ONE_OF_THE_FRONT = """from hyjax.tuning import proof
+proof.ROUNDS = 3
+replay.__globals__["front_configurations"].__defaults__ = (1,)"""
 SMALLER = {
-    "01_equations.ipynb": {"(512, 512": "(256, 256", "(10, 100, 1000)": "(10, 30, 100)"} | SMALL_WIDGET,
+    "01_equations.ipynb": {"(512, 512": "(128, 128", "(10, 100, 1000)": "(10, 30, 100)", "1.0, 25)": "1.0, 5)"}
+    | SMALL_WIDGET,
     "02_relight_a_room.ipynb": {
         '"noon-window", "evening-lamps", "night-moon"': '"evening-lamps",',  # each compiles programs
     }
     | SMALL_WIDGET,
     "03_tune_a_frame_rate.ipynb": {
         "SceneSettings()": f'SceneSettings(size="{SMALL_ROOM}")',
-        "journal =": "from hyjax.tuning import proof\nproof.ROUNDS = 3\njournal =",
+        "journal =": f"{ONE_OF_THE_FRONT}\njournal =",
         'size="192"': f'size="{SMALL_ROOM}"',
         'frames="0,12", holdout="19,22"': 'frames="0", holdout="19"',
     },
@@ -68,7 +72,9 @@ SMALLER = {
         '"noon-window", [lamp]': '"evening-lamps", [lamp]',
         "scene.relit(0, lights)": f"scene.relit(0, lights, {LIGHT_KEPT})",  # its estimate is in other notebooks
     },
-    "08_against_the_truth.ipynb": {"8, 192, 144": "6, 160, 120"},
+    "08_against_the_truth.ipynb": {
+        '"builtin-3", 8, 192, 144': '"builtin-0", 6, 96, 72'
+    },  # lit for the experiments, too
 }
 """Settings that stand in a notebook and those that are executed for them, where its outputs are not kept."""
 WRITE = bool(os.environ.get("HYJAX_WRITE_NOTEBOOKS"))
