@@ -20,7 +20,7 @@ from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.geometry.raycast import RayCaster
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays, keep_arrays, read_kept
 from hyjax.util.errors import InputError
-from hyjax.util.images import read_image, to_bytes
+from hyjax.util.images import to_bytes
 
 if TYPE_CHECKING:
     import trimesh
@@ -269,11 +269,14 @@ def _rendered(
 
 
 def _shipped(cameras: list[Camera], mesh: MeshArrays) -> "Iterator[_Frame]":
+    from PIL import Image
+
     caster = RayCaster(mesh)
     for number, camera in enumerate(cameras):
         hits = caster.cast(camera.origin, camera.rays().reshape(-1, 3))
         depth = np.where(hits.hit, hits.distance, 0.0).astype(np.float32)
-        yield to_bytes(read_image(PHOTOGRAPHS / f"{number:03d}.webp")), depth.reshape(camera.intrinsics.shape)
+        image = np.asarray(Image.open(PHOTOGRAPHS / f"{number:03d}.webp").convert("RGB"))
+        yield image, depth.reshape(camera.intrinsics.shape)
 
 
 def _arrays(
