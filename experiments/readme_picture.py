@@ -40,7 +40,7 @@ Pictures = tuple[np.ndarray, np.ndarray, np.ndarray]
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Config(RunConfig):
     folder: Path = Path("../shared/data/middlebury_relit")
-    """Of real places, see `experiments.relit_pairs`."""
+    """Of real places, see `hyjax.data.relit_pairs`."""
     pair: str = "Piano"
     """The real place."""
     flipped: bool = True

@@ -47,7 +47,7 @@ SHEET = (PHOTO, SMOOTH, KEPT, NEW, "target")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Config(RunConfig):
     folder: Path = Path("../shared/data/middlebury_relit")
-    """Pairs, see `experiments.relit_pairs`."""
+    """Pairs, see `hyjax.data.relit_pairs`."""
     pairs: tuple[str, ...] = ("Piano", "Djembe", "Art")
     """Their names; none for rooms alone."""
     rooms: tuple[str, ...] = ()

@@ -12,12 +12,12 @@ from jaxtyping import Bool, Float
 
 from experiments.paper_view import with_kappa
 from experiments.peers import optional
-from experiments.relit_pairs import RelitPair, open_relit_pairs
 from hyjax.configuration import Configuration
 from hyjax.core.cascade import cascade
 from hyjax.core.refine import cascade_known, shadow_pass
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.data.capture import Capture, Frame
+from hyjax.data.relit_pairs import RelitPair, open_relit_pairs
 from hyjax.geometry.transport_rays import CELLS
 from hyjax.guide.edge_weights import configured_edges
 from hyjax.light.gbuffer import GBuffer

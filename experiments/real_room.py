@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from experiments.relit_pairs import RelitPair
+from hyjax.data.relit_pairs import RelitPair
 from hyjax.data.truth_room import load_truth_room
 from hyjax.geometry.raycast import RayCaster
 from hyjax.scene.scene import Scene

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.relit_pairs import open_relit_pairs
+from hyjax.data.relit_pairs import open_relit_pairs
 from hyjax.util.errors import InputError
 from hyjax.util.images import write_png
 
