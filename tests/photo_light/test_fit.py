@@ -110,7 +110,7 @@ def test_the_gradient_of_the_fit_is_that_of_finite_differences(lit: Lit) -> None
     np.testing.assert_allclose(slope, numeric, rtol=1e-4)
 
 
-@given(st.sampled_from([1, 2, 7, 60]), st.integers(0, 2**32 - 1))
+@given(st.sampled_from([1, 2, 21, 60]), st.integers(0, 2**32 - 1))
 def test_the_high_quantile_is_numpys(count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     values = rng.integers(0, 9, (count, 3)) + rng.choice([0.0, 0.25], (count, 3))  # with ties

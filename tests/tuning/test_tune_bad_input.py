@@ -226,18 +226,15 @@ def tables(tune: Tune, given: Path) -> list[Path]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("text", [b"\xff\xfe", b'{"format": 1}'])
-def test_a_broken_table_in_the_cache_is_made_anew(
-    text: bytes, tables: list[Path], tune: Tune, tmp_path: Path
-) -> None:
+def test_a_broken_table_in_the_cache_is_made_anew(tables: list[Path], tune: Tune, tmp_path: Path) -> None:
     assert tables
     for table in tables:
-        table.write_bytes(text)
+        table.write_bytes(b"\xff\xfe")
     status, _, err = tune("--out", tmp_path / "again")
     assert status == 0 and err == ""
     report = (tmp_path / "again" / "report.html").read_text()
     assert "calibrated anew" in report and ("is broken" in report or "cannot be read" in report)
-    assert any(table.read_bytes() != text for table in tables)
+    assert any(table.read_bytes() != b"\xff\xfe" for table in tables)
 
 
 def fails(*_: object, **__: object) -> None:
