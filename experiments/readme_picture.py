@@ -61,6 +61,7 @@ class Config(RunConfig):
 
 @experiment("README's picture")
 def main(config: Config, start: Start) -> None:
+    pairs = named_pairs(config.folder, (config.pair,)) if config.folder.is_dir() else []
     results, rows = start(), list[Pictures]()
     capture = load_truth_room(config.room, config.photos, *config.size, quality=config.quality)
     scene = hyjax.Scene.open(hyjax.SceneSettings(), capture=capture)
@@ -73,14 +74,13 @@ def main(config: Config, start: Start) -> None:
         decibels = float(psnr(jnp.asarray(relit), jnp.asarray(truth)))
         results.add(kind="picture", room=config.room, setup=name, frame=index, psnr_db=decibels)
         rows.append((photo, relit, truth))
-    if config.folder.is_dir():
-        (pair,) = named_pairs(config.folder, (config.pair,))
+    for pair in pairs:
         place = RealPlace(pair, config.flipped, "true")
         picture = default_picture(place)
         decibels = scores(place, {"relit": picture}, None)["relit"]["psnr"]
         results.add(kind="picture", room=config.pair, setup="fitted", frame=0, psnr_db=decibels)
         rows.append((place.photo, picture.display, place.target))
-    else:
+    if not pairs:
         print(f"readme_picture: {config.folder} is not there: without the real place", file=sys.stderr)
     whole = beside_each_other(rows, config.size[0])
     hyjax.write_png(results.out / "readme.png", whole)
