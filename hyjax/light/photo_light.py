@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from hyjax.light.emission import Emitters
 from hyjax.light.gbuffer import GBuffer
@@ -161,31 +161,37 @@ def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lig
     """Add the photo's own light and bounces to a shaded surface.
 
     Args:
+        shaded: direct light.
+        light: on the vertices.
         gbuffer: of the view, with triangles; see `on_pixels` for surfaces outside the scan.
-        lights: of the shading; ambient ones are in the bounces, see `bounced_light`, and lose their channels.
+        lights: of the shading; ambient ones are in the bounces, see `bounced_light`, and give no direct light.
     """
-    return _add(shaded, light, on_triangles(gbuffer), direct=direct_channels(lights, light.bounced is not None))
+    direct = np.isin(np.arange(len(lights)), direct_channels(lights, light.bounced is not None))
+    return _add(shaded, light, on_triangles(gbuffer), jax.device_put(direct))
 
 
 def direct_channels(lights: Sequence[Light], bounces: bool) -> tuple[int, ...]:
-    """Places of the lights that have a channel of their own: bounces stand in for ambient ones beside others."""
-    own = tuple(k for k, light in enumerate(lights) if not (light.UNIFORM and bounces))
-    return own or tuple(range(len(lights)))
+    """Places of the lights that give direct light: bounces stand in for ambient ones beside others."""
+    direct = tuple(k for k, light in enumerate(lights) if not (light.UNIFORM and bounces))
+    return direct or tuple(range(len(lights)))
 
 
-@functools.partial(jax.jit, static_argnames="direct")
-def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, *, direct: tuple[int, ...]) -> Shaded:
-    def own(channels: Float[Array, "h w l"]) -> Float[Array, "h w k"]:
-        return jnp.stack([channels[..., k] for k in direct], axis=-1)
-
-    return dataclasses.replace(
-        shaded,
-        illuminance=own(shaded.illuminance),
-        visibility=own(shaded.visibility),
-        colors=shaded.colors[jnp.array(direct)],
-        bounced=indirect_on_pixels(light, gbuffer),
-        photo_light=on_pixels(light.photo_light, light.faces, gbuffer),
+@functools.partial(jax.jit, static_argnames="channels")
+def with_channels(shaded: Shaded, *, channels: tuple[int, ...]) -> Shaded:
+    """Shaded surface of some of its lights."""
+    illuminance, visibility = (
+        jnp.stack([each[..., k] for k in channels], axis=-1) for each in (shaded.illuminance, shaded.visibility)
     )
+    colors = shaded.colors[jnp.array(channels)]
+    return dataclasses.replace(shaded, illuminance=illuminance, visibility=visibility, colors=colors)
+
+
+@jax.jit
+def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, direct: Bool[Array, "l"]) -> Shaded:
+    illuminance = jnp.where(direct, shaded.illuminance, 0.0)
+    photo_light = on_pixels(light.photo_light, light.faces, gbuffer)
+    indirect = indirect_on_pixels(light, gbuffer)
+    return dataclasses.replace(shaded, illuminance=illuminance, bounced=indirect, photo_light=photo_light)
 
 
 def indirect_on_pixels(light: SurfaceLight, gbuffer: GBuffer) -> Float[Array, "h w 3"] | None:

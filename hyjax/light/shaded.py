@@ -17,7 +17,7 @@ from hyjax.util.errors import InputError
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class Shaded:
-    """Light on the visible surface, a channel for each light, but for ambient ones that bounces stand in for.
+    """Light on the visible surface, a channel for each light.
 
     Shadow maps, Blender, a point cloud or moved furniture: whatever shades a frame delivers this.
 

@@ -22,7 +22,7 @@ from hyjax.guide.edge_weights import configured_edges
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.light_edges import Weights
-from hyjax.light.photo_light import SurfaceLight
+from hyjax.light.photo_light import SurfaceLight, direct_channels, with_channels
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
@@ -254,7 +254,11 @@ class Relighter:
         make = self.guide.features
         carried = self._carried
         features = make(view.display) if carried is None else carried.features(view, lambda: make(view.display))
-        edges = configured_edges(self.configuration.light, self._light()[-1]) if self._divides else None
+        light = self._light()[-1]
+        edges = configured_edges(self.configuration.light, light) if self._divides else None
+        direct = direct_channels(self.setup.lights, light is not None and light.bounced is not None)
+        if len(direct) < len(self.setup.lights):  # what gives nothing needs no cascade
+            shaded = run_kept(with_channels, shaded, channels=direct)
         yield "guide", LitFrame(view, shaded, features, full, self._on_device(edges))
 
     def _view(self, frame: Frame, gbuffer: GBuffer) -> View:

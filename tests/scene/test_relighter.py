@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import time
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,9 +15,13 @@ from reference.arkit_export import export_arkit_scan
 import hyjax
 from hyjax.configuration import Configuration
 from hyjax.data.builtin_room import load_room
+from hyjax.guide.choose import configured_guide
+from hyjax.pipeline import cascade_calls, relight
+from hyjax.relighting import ahead
 from hyjax.relighting.each_light import relight_each
 from hyjax.relighting.run import relight_capture
 from hyjax.relighting.settings import RelightSettings
+from hyjax.util import programs
 from hyjax.util.images import read_image
 
 OWN = {
@@ -73,6 +78,59 @@ def test_stages_end_in_the_relit_frame(capture: Path) -> None:
     np.testing.assert_array_equal(relighter.picture(scene.frame(1)), relighter.relit(1).image)
     shaded = relighter.shade(relighter.view(1))
     np.testing.assert_array_equal(shaded.illuminance, stages["shaded"].illuminance)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ambient", [0, 1])
+def test_light_that_bounces_stand_in_for_is_refined_in_no_channel(ambient: int, capture: Path) -> None:
+    """The picture is that of all channels, of which the ambient light's is zero."""
+    scene = hyjax.Scene.open(hyjax.SceneSettings(capture=capture, size="160x120"))
+    setup = hyjax.LightSetup.of(
+        [
+            hyjax.PointLight(jnp.array([2.0, 2.5, 2.0]), jnp.float32(600.0), jnp.array([1.0, 0.5, 0.2])),
+            hyjax.AmbientLight(jnp.float32(50.0), jnp.array([0.2, 0.4, 1.0])),
+        ][:: 1 - 2 * (ambient == 0)]
+    )
+    relighter = hyjax.Relighter(scene, setup)
+    view, few = relighter.view(0), relighter.lit(0).shaded
+    shaded = relighter.shade(view)
+    assert shaded.illuminance.shape[-1] == 2 and few.illuminance.shape[-1] == len(few.colors) == 1
+    assert float(shaded.illuminance[..., ambient].max()) == 0 < float(few.illuminance.max())
+    lit = relighter.lit(0)
+    assert lit.light_edges is not None
+    whole = relight(
+        view, shaded, view.display, relighter.configuration.schedule,
+        shadow_schedule=relighter.configuration.shadow_schedule, light_edges=lit.light_edges,
+    )  # fmt: skip
+    np.testing.assert_allclose(relighter.picture(0), whole.image, atol=2e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("photo_light", ["divided", "kept"])
+def test_programs_that_are_begun_are_those_that_run(
+    photo_light: str, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = hyjax.Scene.open(hyjax.SceneSettings(capture=capture, size="160x120"))
+    configuration = Configuration().with_choices({"photo_light": photo_light})
+    begun: list[Any] = []
+    monkeypatch.setattr(programs, "_folder", tmp_path)
+    monkeypatch.setattr(ahead, "make_ready", lambda function, *arrays: begun.append(_shapes(function, arrays)))
+    setup = scene.lights("evening-lamps", at_photo_sources=photo_light == "divided")
+    ahead.begin_programs(scene, [0], setup, configuration, configured_guide(configuration.guide), video=False)
+    run: list[Any] = []
+    relighter = hyjax.Relighter(scene, setup, configuration)
+    lit = relighter.lit(0)
+    for call in cascade_calls(lit.shaded, lit.features, configuration.schedule, configuration.shadow_schedule):
+        run.append(_shapes(call[0], call[1:]))
+    deadline = time.monotonic() + 60
+    while len(begun) < 3 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert all(call in begun for call in run) and len(begun) == 3
+
+
+def _shapes(function: Any, arrays: Any) -> tuple[Any, ...]:
+    leaves, tree = jax.tree.flatten(arrays)
+    return function, tree, *((np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
 
 
 class Lights:
