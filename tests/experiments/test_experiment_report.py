@@ -141,6 +141,10 @@ def test_a_picture_is_packed_in(tmp_path: Path, channels: int) -> None:
     assert (attributes["src"] or "").startswith("data:image/") and attributes["alt"] == "Half grey."
 
 
+def test_the_same_figure_is_the_same_markup() -> None:
+    assert html([plot()]) == html([plot()])
+
+
 def test_figures_of_one_page_share_no_name_for_different_things() -> None:
     one, other = plot(), plot("other")
     other.figure.axes[0].set_position((0.2, 0.2, 0.5, 0.5))
@@ -264,3 +268,7 @@ def test_one_broken_run_does_not_take_the_page_with_it(results: Path) -> None:
     parsed = Parsed(make_page(results))
     assert any("These rows cannot be shown (KeyError" in text for text in parsed.texts)
     assert "0.25" in parsed.texts
+
+
+def test_docstrings_keep_their_marks() -> None:
+    assert report.marked("a `b < c` *d e* 2 * 3") == "a <code>b &lt; c</code> <em>d e</em> 2 * 3"

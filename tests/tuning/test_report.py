@@ -214,6 +214,19 @@ def test_a_missed_budget_is_said(tmp_path: Path) -> None:
     assert late in words and words.count("could not be kept") == 2 and words.count("p95 kept") == 1
 
 
+def test_sentences_where_less_is_known() -> None:
+    said, choices = report.summary(fake([FPS60], held_out=False, references=[], record={}))
+    assert said.endswith("time; loss 10.0 % less than the default, PSNR 23.10 dB (tuning frames).")
+    assert choices == "It differs from the default in: guide none."
+
+
+def test_an_unfinished_search_and_further_budgets_are_told() -> None:
+    record = {"unfinished": True, "trials": 7, "further budgets": [0.5, 1.0]}
+    said = report.summary(fake([FPS60], record=record))
+    assert said[0].startswith("Unfinished, after 7 trials") and said[0].endswith("--resume goes on.")
+    assert any(line.startswith("Searched for 1 budget and, to draw the front, for 0.5, 1 of") for line in said)
+
+
 def test_a_disturbed_clock_is_told_once_with_both_times() -> None:
     tuned = fake([FPS60, FPS100], record={"disturbed": [40.0, 22.0]})
     busy = FrameTime(9.0, 19.0, 20.0, 0.45, quiet_p95=9.5, default_p95=40.0, default_quiet_p95=22.0)
@@ -222,6 +235,12 @@ def test_a_disturbed_clock_is_told_once_with_both_times() -> None:
     (once,) = [line for line in said if "disturbed" in line]
     assert "the default's p95 was 40.00 ms, and 22.00 in the quieter half" in once
     assert not any("could not be kept" in line for line in said)
+
+
+def test_choices_that_no_true_picture_could_judge_are_told() -> None:
+    said = report.summary(fake([FPS60], record={"not searched": ["bounces", "bounce_gain"]}))
+    assert "Not searched: bounces, bounce_gain; only the true pictures of --rooms can judge them." in said
+    assert not any("Not searched" in line for line in report.summary(fake([FPS60], record={"not searched": []})))
 
 
 def test_what_differs_from_the_default() -> None:
@@ -259,8 +278,9 @@ def test_effects_are_named() -> None:
 
 
 @pytest.mark.slow
-def test_the_page_stands_alone(tmp_path: Path) -> None:
-    tuned = fake([FPS60, FPS100, RUDEST])
+@pytest.mark.parametrize("held_out", [True, False])
+def test_the_page_stands_alone(held_out: bool, tmp_path: Path) -> None:
+    tuned = fake([FPS60, FPS100, RUDEST], held_out=held_out)
     report.write_results(tmp_path, tuned)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert not re.search(r"https?:|@import|url\((?!#)", text)
