@@ -40,7 +40,7 @@ from hyjax.tuning.result import Candidate
 from hyjax.tuning.settings import SETUPS, FrameOptions, TuneScene, TuneSettings
 from hyjax.tuning.space import Choices, Space, structure
 from hyjax.tuning.stage import FrameStage
-from hyjax.tuning.time_model import TimeModel
+from hyjax.tuning.time_model import SHORTEST_RATIO, TimeModel
 from hyjax.tuning.trial import Trial
 from hyjax.tuning.tune import tune
 from hyjax.util.errors import InputError
@@ -103,7 +103,7 @@ def errors_left_out(space: Space, trials: Sequence[Choices], times: Sequence[flo
     for number, (choices, time) in enumerate(zip(trials, times, strict=True)):
         others = [k for k in range(len(trials)) if k != number]
         model = TimeModel.fit(space, [trials[k] for k in others], [times[k] for k in others])
-        found.append(abs(float(model([choices])[0]) / time - 1.0))
+        found.append(abs(float(model([choices])[0]) / max(time, SHORTEST_RATIO) - 1.0))
     return found
 
 

@@ -213,7 +213,7 @@ def test_interrupted_runs_leave_whole_files(tmp_path: Path) -> None:
     # A background job is started with SIGINT ignored, and so would be what it starts.
     code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     code += "from hyjax.cli import main; main()"
-    options = ["--size", "160x120", "--save-filters", "--exr", "--lights", "two-colors", "--out"]
+    options = ["--save-filters", "--exr", "--lights", "two-colors", "--out"]
     command = [sys.executable, "-c", code, "relight", *options]
     with subprocess.Popen([*command, str(tmp_path)], stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 240

@@ -41,7 +41,7 @@ SMALL_WIDGET = {
 }
 ONE_OF_THE_FRONT = """from hyjax.tuning import proof
 proof.ROUNDS = 3
-replay.__globals__["front_configurations"].__defaults__ = (1,)"""
+replay.__globals__["POINT_COUNT"] = 1"""
 SMALLER = {
     "01_equations.ipynb": {"(512, 512": "(128, 128", "(10, 100, 1000)": "(10, 30, 100)", "1.0, 25)": "1.0, 5)"}
     | SMALL_WIDGET,

@@ -37,7 +37,7 @@ SHORTEST_SIDE, MOST_PIXELS = 16, 1280 * 960
 FRAME_RATE = 2.0
 """Pictures a second: the walk takes twelve seconds."""
 SHIPPED = "room-v7-seed0-24x640x480-q1"
-"""Key of the room whose photographs come with the package: to render them takes most of a minute."""
+"""Key of the room whose photographs come with the package: to render them takes half a minute."""
 PHOTOGRAPHS = Path(__file__).parent / "room_photographs"
 """Folder of lossless pictures; `HYJAX_WRITE_ROOM=1 pytest -m "" tests/synthetic/test_room.py` renders them anew."""
 
@@ -275,7 +275,13 @@ def _shipped(cameras: list[Camera], mesh: MeshArrays) -> "Iterator[_Frame]":
     for number, camera in enumerate(cameras):
         hits = caster.cast(camera.origin, camera.rays().reshape(-1, 3))
         depth = np.where(hits.hit, hits.distance, 0.0).astype(np.float32)
-        image = np.asarray(Image.open(PHOTOGRAPHS / f"{number:03d}.webp").convert("RGB"))
+        file = PHOTOGRAPHS / f"{number:03d}.webp"
+        try:
+            image = np.asarray(Image.open(file).convert("RGB"))
+        except OSError as error:  # of Pillow, too
+            raise InputError(
+                f"{file}: a photograph of the built-in room is damaged ({error}); install hyjax anew"
+            ) from None
         yield image, depth.reshape(camera.intrinsics.shape)
 
 

@@ -3,7 +3,9 @@
     scene = LiveScene()
     relighter = Relighter(scene, lights, "fast")
     for frame in frames:
-        if scene.add(frame) and scene.update():
+        if scene.add(frame):
+            scene.update()  # or a few times a second
+        if scene.surface is not None:
             show(relighter.relit(frame).image)
 
 What a finished capture has and this has not: the photo's own light stays in the pictures, no bounces are added, and

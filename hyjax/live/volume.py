@@ -51,8 +51,8 @@ class LiveVolume(Volume):
     """
 
     def __init__(self, voxel: float, *, most_blocks: int = MOST_BLOCKS) -> None:
-        if not 0 < voxel < np.inf:
-            raise InputError(f"live: need a voxel above 0 m, got {voxel}")
+        if not (0 < voxel < np.inf and most_blocks > 0):
+            raise InputError(f"live: need a voxel above 0 m and a block, got {voxel} and {most_blocks}")
         super().__init__(voxel, 4.0 * voxel)
         self.frames, self._most = 0, most_blocks
         self._meshed = np.zeros((0, BLOCK_SIDE**3), np.float32)  # what the mesh was made of

@@ -23,9 +23,9 @@ from hyjax.util.prefetch import prefetch
 from hyjax.util.vectors import orthonormal_frame
 
 SAMPLE_COUNT = 12
+"""Number of frames and depth maps to read."""
 MOST_PLAN_POINTS = 20_000
 """Points of the surface in the plan, at most."""
-"""Number of frames and depth maps to read."""
 SHOWN_COUNT, SHOWN_LENGTH = 4, 480
 """Number of frames in the picture of an inspection, and the least longer side that they are kept at, in pixels."""
 LONGEST_STEP = 1.0

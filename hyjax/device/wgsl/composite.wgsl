@@ -1,4 +1,4 @@
-// The relit picture in linear light (Eq. 1): `hyjax.pipeline.composite_linear`, with what shines by itself.
+// The relit picture in linear light (Eq. 1): `hyjax.light.relit.relit_picture`, with what shines by itself.
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<uniform> lights: array<Light, ${lights}>;
 @group(0) @binding(2) var<uniform> emitters: array<vec4<f32>, ${emitters}>;
