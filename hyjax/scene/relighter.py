@@ -248,17 +248,17 @@ class Relighter:
         if self._shader is None:
             for stage, shaded in self._shade_stages(view):
                 yield stage, shaded
+            light = self._light()[-1]
+            direct = direct_channels(self.setup.lights, light is not None and light.bounced is not None)
+            if len(direct) < len(self.setup.lights):  # light that gives nothing needs no cascade
+                shaded = run_kept(with_channels, shaded, channels=direct)
         else:
             view, shaded = self._shader(view, opened.camera, self._light()[-1])
             yield "shaded", shaded
         make = self.guide.features
         carried = self._carried
         features = make(view.display) if carried is None else carried.features(view, lambda: make(view.display))
-        light = self._light()[-1]
-        edges = configured_edges(self.configuration.light, light) if self._divides else None
-        direct = direct_channels(self.setup.lights, light is not None and light.bounced is not None)
-        if len(direct) < len(self.setup.lights):  # what gives nothing needs no cascade
-            shaded = run_kept(with_channels, shaded, channels=direct)
+        edges = configured_edges(self.configuration.light, self._light()[-1]) if self._divides else None
         yield "guide", LitFrame(view, shaded, features, full, self._on_device(edges))
 
     def _view(self, frame: Frame, gbuffer: GBuffer) -> View:

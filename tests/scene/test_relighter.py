@@ -103,6 +103,10 @@ def test_light_that_bounces_stand_in_for_is_refined_in_no_channel(ambient: int, 
         shadow_schedule=relighter.configuration.shadow_schedule, light_edges=lit.light_edges,
     )  # fmt: skip
     np.testing.assert_allclose(relighter.picture(0), whole.image, atol=2e-6)
+    shown = hyjax.Relighter(scene, setup, shader=lambda view, camera, light: (view, few))
+    assert shown.lit(0).shaded is few, "a shader's channels are its own"
+    plain = hyjax.Relighter(scene, setup, Configuration().with_choices({"bounces": False}))
+    assert plain.lit(0).shaded.illuminance.shape[-1] == 2
 
 
 @pytest.mark.slow
