@@ -174,6 +174,12 @@ def test_the_photographs_that_are_shipped_are_rendered_ones(
         apart = np.abs(shipped[number].image - image).max(axis=-1)
         assert np.mean(apart > 1.5 / 255) < 1e-3 and apart.mean() < 0.01 / 255
         np.testing.assert_allclose(shipped[number].depth, depth, atol=1e-5)
+    (tmp_path / "000.webp").write_bytes((module.PHOTOGRAPHS / "000.webp").read_bytes()[:1000])
+    monkeypatch.setattr(module, "PHOTOGRAPHS", tmp_path)
+    with pytest.raises(
+        InputError, match=r"000\.webp: a photograph of the built-in room is damaged \(.*; install hyjax"
+    ):
+        load_room(cache_dir=tmp_path / "anew", progress=False)
 
 
 def test_another_seed_is_another_room(room: Room) -> None:
