@@ -37,7 +37,7 @@ COMPILED = "HYJAX_TESTS_COMPILED"
 PASSED = "HYJAX_TESTS_PASSED"
 """Names of environment variables: folder of compiled programs, file of tests that passed in an earlier step."""
 MOST_RESIDENT_MIB = (
-    800 if "HYJAX_EXTRAS" not in os.environ else 2000
+    650 if "HYJAX_EXTRAS" not in os.environ else 2000
 )  # README's command stays below 1.5 GiB a worker; CI's three workers with all extras have 24 GiB
 least_resident_mib = 0.0
 cli._keep_for_later = lambda: None  # or what runs in a worker changes how it keeps memory and programs
