@@ -37,7 +37,7 @@ SHORTEST_SIDE, MOST_PIXELS = 16, 1280 * 960
 FRAME_RATE = 2.0
 """Pictures a second: the walk takes twelve seconds."""
 SHIPPED = "room-v7-seed0-24x640x480-q1"
-"""Key of the room whose photographs come with the package: to render them takes half a minute."""
+"""Key of the room whose photographs come with the package."""
 PHOTOGRAPHS = Path(__file__).parent / "room_photographs"
 """Folder of lossless pictures; `HYJAX_WRITE_ROOM=1 pytest -m "" tests/synthetic/test_room.py` renders them anew."""
 

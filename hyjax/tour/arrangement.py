@@ -28,6 +28,7 @@ from hyjax.light.photo_light import (
     PhotoLight,
     SurfaceLight,
     bounced_light,
+    direct_channels,
     indirect_on_pixels,
     least_bounced,
     on_pixels,
@@ -198,13 +199,10 @@ class Arrangement:
         """Direct and bounced light on surface points."""
         bounces = light is not None and light.bounced is not None
         uniform = [lamp for lamp in setup.lights if lamp.UNIFORM]
-        # Bounces stand in the place of lights that fall on any surface alike, unless there are no others.
-        left_out = uniform if bounces and len(uniform) < len(setup.lights) else []
         casting = casters(self, setup.lights, self._configuration.shadows.least_share)
         layers = [
-            (lamp, self._layer(lamp, samples, key, casts))
-            for lamp, casts in zip(setup.lights, casting, strict=True)
-            if lamp not in left_out
+            (setup.lights[place], self._layer(setup.lights[place], samples, key, casting[place]))
+            for place in direct_channels(setup.lights, bounces)
         ]
         shaded = stack_layers(layers, uniform, samples.hit, setup.reference_lux)
         indirect = None if light is None else indirect_on_pixels(light, samples)
