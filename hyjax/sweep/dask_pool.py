@@ -13,6 +13,7 @@ import logging
 import queue
 import time
 from collections.abc import Iterator
+from concurrent.futures import CancelledError
 from pathlib import Path
 from typing import Any
 
@@ -66,9 +67,9 @@ class DaskPool:
     def open(cls, workers: int | None, scheduler: str | None, folder: Path, tell: Tell) -> "DaskPool":
         """Open workers on this machine or of a scheduler; see `Engine.open`."""
         with contextlib.ExitStack() as stack:
-            stack.enter_context(dask.config.set(CONFIG if scheduler is None else {"logging": CONFIG["logging"]}))
-            from distributed import Client
+            from distributed import Client  # its defaults outlast the configuration below
 
+            stack.enter_context(dask.config.set(CONFIG if scheduler is None else {"logging": CONFIG["logging"]}))
             for name in QUIET_LOGGERS:
                 logging.getLogger(name).setLevel(logging.CRITICAL)
             count = 1 if scheduler else workers or cores()
@@ -114,14 +115,14 @@ class DaskPool:
         from distributed import KilledWorker
 
         batch = self._batches.pop(future)
-        if future.status == "finished":
+        try:
+            # Waits where the worker died with the result in its memory: Dask runs the batch again by itself then.
             return batch, future.result()
-        if future.status == "cancelled":
-            raise InputError(f"scheduler {self._address or ''}: lost; the rows so far are kept, resume goes on")
-        error = future.exception()
-        if isinstance(error, KilledWorker):
+        except KilledWorker:
             return batch, None
-        raise error
+        except CancelledError:
+            name = self._address or "of this machine"
+            raise InputError(f"scheduler {name}: lost; the rows so far are kept, resume goes on") from None
 
     def _next(self) -> Any:
         """Next future that has ended."""

@@ -3,6 +3,7 @@
 import os
 import resource
 import signal
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,14 @@ def die_at_three(payload: Payload) -> Payload:
     if payload["number"] == 3:
         os.kill(os.getpid(), signal.SIGKILL)
     return double(payload)
+
+
+def die_afterwards(payload: Payload) -> Payload:
+    """A kill of its own process after the result has been reported, where no mark is left yet."""
+    doubled = double(payload)
+    if not (mark := Path(payload["mark"])).exists():
+        threading.Timer(0.2, lambda: (mark.touch(), os.kill(os.getpid(), signal.SIGKILL))).start()
+    return doubled
 
 
 def fill_disk(payload: Payload) -> Payload:

@@ -139,11 +139,11 @@ def start(folder: Path, *arguments: Any) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def until(condition: Callable[[], Any], seconds: float = 30.0) -> Any:
+def until(condition: Callable[[], Any], seconds: float = 30.0, pause: float = 0.02) -> Any:
     end = time.monotonic() + seconds
     while not (found := condition()):
         assert time.monotonic() < end, "nothing happens"
-        time.sleep(0.02)
+        time.sleep(pause)
     return found
 
 
@@ -159,7 +159,7 @@ def test_killed_workers_and_a_killed_driver_lose_nothing(tmp_path: Path) -> None
     killed, undisturbed, count = tmp_path / "killed", tmp_path / "undisturbed", 120
     driver = start(killed, 2, count, 0.02)
     os.kill(until(lambda: workers_of(killed))[-1], signal.SIGKILL)
-    until(lambda: len(RowStore(killed).refresh()) > 40)
+    until(lambda: len(RowStore(killed).refresh()) > 40 or driver.poll() is not None)
     driver.kill()
     _, told = driver.communicate()
     ours, *_ = told.splitlines()
@@ -189,6 +189,29 @@ def test_a_task_that_takes_its_workers_along(tmp_path: Path) -> None:
     kept = [row for row in RowStore(tmp_path).read() if "bytes" in row]
     assert [row["number"] for row in kept] == [0, 1, 2]
     assert len(run_here(tmp_path, standins.double, tasks(12, bytes=10))) == 9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["first", "second"])  # a second engine of a process starts as the first did
+def test_a_worker_that_dies_with_its_result(engine: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dask runs its batch again by itself."""
+    need("tune")
+    from hyjax.sweep import dask_pool
+
+    monkeypatch.setattr(dask_pool, "SETTLING_SECONDS", 0.0)
+    mark, told = tmp_path / "mark", list[str]()
+    todo = tuple(tasks(1, mark=str(mark), sleep=0.5))
+    pool = dask_pool.DaskPool.open(2, None, tmp_path, told.append)
+    try:
+        RowStore(tmp_path).take_over("driver", told.append)
+        pool.submit(batches.TaskBatch("standins:die_afterwards", str(tmp_path), "driver", todo), timing=False)
+        (future,) = pool._batches
+        until(lambda: future.status == "finished")
+        until(lambda: future.status != "finished", pause=1e-4)
+        assert [outcome is not None for _, outcome in pool.collect()] == [True]
+    finally:
+        pool.close()
+    assert not told
 
 
 @pytest.mark.slow
