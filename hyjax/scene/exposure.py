@@ -21,6 +21,9 @@ MOST_FILLED, FILL_STEPS = 0.85, 16
 """Most light that bounces are filled up to, over that of the median picture; number of steps that are tried."""
 DAY_BRIGHTNESS, LARGEST_LIFT = 0.12, 1.8
 """Median linear value of photos below which they are lifted by day, and the largest lift."""
+LEAST_KEPT, KEPT_WHERE_DARK, MOST_KEPT = 0.2, 0.4, 1.0
+"""Shares of its brightness that the median picture keeps under a set-up of a fixed exposure: the least, that of a
+longer exposure, and the largest."""
 _log = logging.getLogger(__name__)
 
 
@@ -86,6 +89,17 @@ def exposed(
         strength = ambient * reference if light.UNIFORM else sun[number] * strengths[number]
         lights[number] = dataclasses.replace(light, **{light.STRENGTH: float(strength)})
     return LightSetup(tuple(lights), reference)
+
+
+def bounded(setup: LightSetup, lux: Float[np.ndarray, "n l"], seen: SeenSurface, response: Response) -> LightSetup:
+    """Set-up of a fixed exposure, which is left only where pictures would end dark or burnt out."""
+    light = (lux * paleness(setup.lights)).sum(axis=1) + response.near
+    median = float(np.median(seen.of_cameras(light / response.photo_light)))
+    reference = float(setup.reference_lux)
+    if median < LEAST_KEPT * reference:
+        reference = median / KEPT_WHERE_DARK
+    least = max(median / MOST_KEPT, _least_unburnt(light, seen, response), 1e-3)
+    return LightSetup(setup.lights, max(reference, least))
 
 
 def _least_unburnt(light: Float[np.ndarray, "n"], seen: SeenSurface, response: Response) -> float:

@@ -19,7 +19,7 @@ from hyjax.light.kinds.directional import SUN_DEGREES
 from hyjax.light.kinds.file_keys import direction
 from hyjax.light.photo_light import PhotoLight
 from hyjax.light.setup import LightSetup
-from hyjax.scene.exposure import LARGEST_FILTER, Exposure, exposed, warn_of_missing
+from hyjax.scene.exposure import LARGEST_FILTER, Exposure, bounded, exposed, warn_of_missing
 from hyjax.scene.light_places import LightAnchors, Vector, WindowPlace
 from hyjax.scene.light_response import assumed_response, measured_response
 from hyjax.util.errors import InputError, did_you_mean
@@ -129,6 +129,8 @@ def named_setup(name: str, anchors: LightAnchors, photo: PhotoLight | None = Non
         setup = exposed(setup, lux, seen, EXPOSURES[name], answer)
     else:
         setup, lux = _not_dark(setup, lux, anchors)
+        if photo is not None:
+            setup = bounded(setup, lux, anchors.seen, measured_response(setup.lights, anchors.seen, photo))
     warn_of_missing(setup, lux, name)
     # Converted by NumPy: every conversion of JAX's is a program of its own.
     lights = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), setup.lights))

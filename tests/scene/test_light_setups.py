@@ -1,5 +1,7 @@
 """Named set-ups: in any room, lights hang in free space and give finite light."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from hyjax.light.color import to_display
 from hyjax.light.kinds import DirectionalLight, PointLight, RectLight
 from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import dark_share
-from hyjax.scene.exposure import exposed, warn_of_missing
+from hyjax.scene.exposure import bounded, exposed, warn_of_missing
 from hyjax.scene.light_places import LightAnchors, survey
 from hyjax.scene.light_response import Response, kinds_of, paleness
 from hyjax.scene.light_setups import EXPOSURES, SETUPS, named_setup
@@ -242,6 +244,27 @@ def test_dark_photos_are_lifted_by_day_alone() -> None:
 def test_the_papers_set_ups_keep_their_exposure(box: RayCaster) -> None:
     stage = survey(box, BOX_CAMERAS, UP)
     assert all(named_setup(name, stage).reference_lux == 300.0 for name in ("center-point", "two-colors"))
+
+
+@pytest.mark.parametrize(("photo_light", "kept"), [(1.0, None), (0.05, 1.0), (20.0, 0.4)])
+def test_a_fixed_exposure_is_left_for_pictures_that_would_end_dark_or_burnt(
+    box: RayCaster, photo_light: float, kept: float | None
+) -> None:
+    stage = survey(box, BOX_CAMERAS, UP)
+    seen, setup = stage.seen, named_setup("center-point", stage)
+    lux = seen.lux(setup.lights)
+    of_place = np.full(len(lux), photo_light)
+    dark_photo = np.full(len(lux), 1e-3)
+    response = Response(of_place, 0 * of_place, 0 * of_place, 0.5, photo_value=dark_photo)
+    left = bounded(setup, lux, seen, response)
+    if kept is None:
+        assert left.reference_lux == setup.reference_lux
+    else:
+        shares = seen.of_cameras(lux.sum(axis=1) / left.reference_lux / photo_light)
+        assert np.median(shares) == pytest.approx(kept)
+    bright = dataclasses.replace(response, photo_value=np.full(len(lux), 0.8))
+    light = lux.sum(axis=1) / bounded(setup, lux, seen, bright).reference_lux
+    assert (seen.of_cameras(0.8 * light / photo_light, 0.9) <= 1.0 + 1e-6).all()
 
 
 def test_a_hall_that_they_leave_dark_keeps_both_colours_and_is_exposed_longer() -> None:
