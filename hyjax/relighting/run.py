@@ -39,6 +39,7 @@ from hyjax.util.environment import environment, peak_memory_mib
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, remove, write_text
 from hyjax.util.prefetch import DEPTH, background_writer
+from hyjax.util.programs import optimise_programs, quick_programs
 from hyjax.util.progress import CommandBar, command_bar
 
 _log = logging.getLogger(__name__)
@@ -125,6 +126,7 @@ def relight_run(
             return settings.scene.open_capture(progress=progress)
 
     with command_bar("relighting", "frame", disable=settings.quiet) as bar, ExitStack() as stack:
+        stack.enter_context(quick_programs())
         capture = None
         if scene is None and settings.scene.capture is not None:
             capture = open_capture()  # one that cannot be used makes no folder
@@ -309,6 +311,7 @@ def _write_frames(
             done.forget()
             del relit, pictures
             summary.written.append(frame.name)
+            optimise_programs()
             if len(summary.written) == WARM_UP:
                 begun = Stopwatch()
     summary.dark = [name for name in summary.written if name in dark]

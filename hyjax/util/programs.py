@@ -7,6 +7,7 @@ elsewhere, or by another version, is not found. As JAX's own cache of compiled p
 only its owner can write to.
 """
 
+import contextlib
 import functools
 import glob
 import hashlib
@@ -19,6 +20,7 @@ import re
 import secrets
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Generic, ParamSpec, TypeVar
 
@@ -28,7 +30,7 @@ from jax.experimental import serialize_executable
 
 from hyjax.util.cache import remove_oldest, tell_unkept, touch
 from hyjax.util.errors import InputError
-from hyjax.util.files import atomic_write, remove_stale
+from hyjax.util.files import atomic_write, remove, remove_stale
 
 P = ParamSpec("P")
 T = TypeVar("T", covariant=True)
@@ -38,12 +40,23 @@ MOST_BYTES = 300_000_000
 """Most bytes of kept programs, some four million a size of picture; those that were used longest ago go first."""
 OPTION = re.compile("XLA_|JAX_(?!.*_CACHE(?:_|$))")
 """Pattern of variables that may change a program; those of JAX's own cache change none."""
+QUICK_OPTIONS: dict[str, bool | int] = {
+    "xla_backend_optimization_level": 0,
+    "xla_llvm_disable_expensive_passes": True,
+    "xla_cpu_use_fusion_emitters": False,
+}
+"""XLA's options of programs that are wanted at once: a fifth of the time to compile, five times that to run."""
+THREADS = 2
+"""Number of threads that optimise."""
+QUICK_SUFFIX = ".quick.program"
 LEAST_SECONDS = "jax_persistent_cache_min_compile_time_secs"
 MOST_AREAS = 0.6
 """Share of a process's areas of memory up to which compiled programs stay."""
 _log = logging.getLogger(__name__)
 _folder: Path | None = None
 _told = False
+_quick = False
+_optimiser: ThreadPoolExecutor | None = None
 _lock = threading.Lock()
 _functions: dict[Callable[..., Any], Any] = {}
 """Functions that have been run, with their programs."""
@@ -58,6 +71,29 @@ def keep_programs(folder: Path | None) -> None:
 def keeps_programs() -> bool:
     """Whether programs are kept."""
     return _folder is not None
+
+
+@contextlib.contextmanager
+def quick_programs() -> Iterator[None]:
+    """Context in which programs that are not kept yet are compiled without optimisation, and run slower for it.
+
+    See `optimise_programs`. What has not been optimised at the end is the next time.
+    """
+    global _quick, _optimiser
+    _quick = jax.default_backend() == "cpu"
+    try:
+        yield
+    finally:
+        _quick, pool, _optimiser = False, _optimiser, None
+        if pool is not None:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def optimise_programs() -> None:
+    """Optimise each quick program that is run from now on, on another thread; it takes over once it is compiled."""
+    global _optimiser
+    if _quick and _optimiser is None:
+        _optimiser = ThreadPoolExecutor(THREADS, thread_name_prefix="optimised programs")
 
 
 class KeptFunction(Generic[P, T]):
@@ -78,6 +114,7 @@ class KeptFunction(Generic[P, T]):
         self._jitted = jax.jit(function, static_argnames=static)
         self._ready: dict[Any, Callable[..., T]] = {}
         self._making: dict[Any, threading.Lock] = {}
+        self._to_optimise: dict[Any, Callable[[], None]] = {}
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
         if _folder is None:
@@ -105,11 +142,11 @@ class KeptFunction(Generic[P, T]):
             with self._making.setdefault(key, threading.Lock()):  # threads that ask for the same wait for it
                 if key not in self._ready:
                     self._ready[key] = self._program(key, args, arrays)
+        pool = _optimiser
+        if pool is not None and (optimise := self._to_optimise.pop(key, None)) is not None:
+            with contextlib.suppress(RuntimeError):  # the pool has just been shut down
+                pool.submit(optimise)
         return self._ready[key], arrays
-
-    def lower(self, *args: P.args, **kwargs: P.kwargs) -> jax.stages.Lowered:
-        """Lowered function, as of `jax.jit`."""
-        return self._jitted.lower(*args, **kwargs)
 
     def _program(self, key: tuple[Any, ...], args: Any, kwargs: Any) -> Callable[..., T]:
         static, tree, *shapes = key
@@ -120,24 +157,30 @@ class KeptFunction(Generic[P, T]):
         signature = repr((static, str(tree), [(shape, str(dtype)) for shape, dtype in shapes]))
         here = f"{self._name}-{_surroundings()}"
         file = _folder / f"{here}-{hashlib.sha256(signature.encode()).hexdigest()[:24]}.program"
-        if file.is_file():
-            try:
-                program = _read(file, tree)
-                touch(file)
-                return program
-            except Exception as error:  # Damage shows itself in a dozen ways; all mean the same.
-                _log.warning("%s: damaged (%s), it is made again", file, error)
-        else:
+        quick_file = file.with_suffix(QUICK_SUFFIX)
+        if (program := _read_kept(file, tree)) is not None:
+            return program
+        if _quick and (program := _read_kept(quick_file, tree)) is not None:
+            shaped = jax.tree.map(_shape_of, (args, kwargs))
+            self._to_optimise[key] = functools.partial(
+                self._optimise, key, file, lambda: _lowered(function, self._name, *shaped)
+            )
+            return program
+        if not (file.is_file() or quick_file.is_file()):
             _tell_of_others(_folder, self._name, here)
-        compiled = _compile_anew(function, self._name, args, kwargs)
+        lowered = _lowered(function, self._name, args, kwargs)
+        if _quick:
+            self._to_optimise[key] = functools.partial(self._optimise, key, file, lambda: lowered)
+            return _compiled(lowered, quick_file, QUICK_OPTIONS)
+        return _compiled(lowered, file)
+
+    def _optimise(self, key: Any, file: Path, lower: Callable[[], jax.stages.Lowered]) -> None:
+        """Compile a quick program once more, in its place."""
         try:
-            _write(file, compiled)
-            remove_oldest(_folder, "*.program", MOST_BYTES)
-        except InputError as error:  # of a full disk
-            tell_unkept(file.parent, error)
-        except Exception as error:  # of JAX, for what cannot be serialised: costs time only
-            _log.info("%s: not kept (%s)", file, error)
-        return compiled
+            self._ready[key] = _compiled(lower(), file)
+            remove(file.with_suffix(QUICK_SUFFIX))
+        except Exception as error:  # of XLA: the quick one stays
+            _log.info("%s: not optimised (%s)", file, error)
 
 
 def forget_programs_in_time() -> bool:
@@ -187,15 +230,35 @@ def _kept(function: Callable[..., Any], static: dict[str, Any]) -> KeptFunction[
         return kept
 
 
-def _compile_anew(function: Callable[..., Any], name: str, args: Any, kwargs: Any) -> jax.stages.Compiled:
-    """Compile past JAX's own cache: XLA cannot write a CPU program again that it has read."""
+def _lowered(function: Callable[..., Any], name: str, args: Any, kwargs: Any) -> jax.stages.Lowered:
+    """Lowered function, of another name each time."""
 
     def unknown(*args: Any, **kwargs: Any) -> Any:
         return function(*args, **kwargs)
 
     unknown.__name__ = f"{name}_{secrets.token_hex(8)}"  # in the key of JAX's cache
+    return jax.jit(unknown).lower(*args, **kwargs)
+
+
+def _compiled(
+    lowered: jax.stages.Lowered, file: Path, options: dict[str, Any] | None = None
+) -> jax.stages.Compiled:
+    """Compiled program, kept in a file. Past JAX's own cache: XLA cannot write a CPU program that it has read."""
     with _unwritten:
-        return jax.jit(unknown).lower(*args, **kwargs).compile()
+        compiled = lowered.compile(compiler_options=options)
+    try:
+        _write(file, compiled)
+        remove_oldest(file.parent, "*.program", MOST_BYTES)
+    except InputError as error:  # of a full disk
+        tell_unkept(file.parent, error)
+    except Exception as error:  # of JAX, for what cannot be serialised: costs time only
+        _log.info("%s: not kept (%s)", file, error)
+    return compiled
+
+
+def _shape_of(leaf: Any) -> jax.ShapeDtypeStruct:
+    known = jax.typeof(leaf)
+    return jax.ShapeDtypeStruct(known.shape, known.dtype, weak_type=known.weak_type)
 
 
 class _Unwritten:
@@ -221,12 +284,21 @@ class _Unwritten:
 _unwritten = _Unwritten()
 
 
-def _read(file: Path, tree: Any) -> Callable[..., Any]:
-    content = file.read_bytes()
-    if hashlib.sha256(content[32:]).digest() != content[:32]:
-        raise ValueError("its checksum is wrong")
-    payload, out_tree = pickle.loads(content[32:])
-    return serialize_executable.deserialize_and_load(payload, tree, out_tree)
+def _read_kept(file: Path, tree: Any) -> Callable[..., Any] | None:
+    """Program of a file; None if there is none that is whole."""
+    if not file.is_file():
+        return None
+    try:
+        content = file.read_bytes()
+        if hashlib.sha256(content[32:]).digest() != content[:32]:
+            raise ValueError("its checksum is wrong")
+        payload, out_tree = pickle.loads(content[32:])
+        program = serialize_executable.deserialize_and_load(payload, tree, out_tree)
+        touch(file)
+        return program
+    except Exception as error:  # Damage shows itself in a dozen ways; all mean the same.
+        _log.warning("%s: damaged (%s), it is made again", file, error)
+        return None
 
 
 def _write(file: Path, compiled: jax.stages.Compiled) -> None:

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -145,6 +146,70 @@ def test_a_program_made_ready_is_the_one_that_runs(folder: Path) -> None:
     file.unlink()
     np.testing.assert_array_equal(kept(jnp.ones(2), jnp.float32(2.0)), [2.0, 2.0])
     assert not list(folder.iterdir())
+
+
+def names(folder: Path) -> set[str]:
+    """Ends of the names of kept programs."""
+    return {file.name[file.name.index(".", file.name.rindex("-")) :] for file in folder.iterdir()}
+
+
+def optimised(folder: Path) -> None:
+    """Wait for the program that takes over, and for the quick one to go."""
+    end = time.monotonic() + 30.0
+    while names(folder) != {".program"}:
+        assert time.monotonic() < end, names(folder)
+        time.sleep(0.01)
+
+
+def test_a_quick_program_is_optimised_once_it_is_run_again(folder: Path) -> None:
+    kept, arrays = KeptFunction(lambda x, factor: factor * jnp.sin(x)), (jnp.ones(2), 2.0)
+    with programs.quick_programs():
+        quick = kept(*arrays)
+        (first,) = kept._ready.values()
+        assert np.array_equal(kept(*arrays), quick) and names(folder) == {programs.QUICK_SUFFIX}
+        programs.optimise_programs()
+        assert names(folder) == {programs.QUICK_SUFFIX}, "what runs no more is left"
+        kept(*arrays)
+        optimised(folder)
+    (second,) = kept._ready.values()
+    assert second is not first
+    np.testing.assert_allclose(kept(*arrays), quick, rtol=1e-6)
+
+
+def test_a_quick_program_is_read_by_the_next_start_and_optimised_there(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with programs.quick_programs():
+        KeptFunction(scaled)(jnp.ones(2), 2.0)
+    lower = programs._lowered
+    with monkeypatch.context() as patch, programs.quick_programs():
+        patch.setattr(programs, "_lowered", lambda *_: pytest.fail("compiled"))
+        kept = KeptFunction(scaled)
+        np.testing.assert_array_equal(kept(jnp.ones(2), 2.0), [2.0, 2.0])
+        patch.setattr(programs, "_lowered", lower)
+        programs.optimise_programs()
+        kept(jnp.ones(2), 3.0)
+        optimised(folder)
+    np.testing.assert_array_equal(kept(jnp.ones(2), 4.0), [4.0, 4.0])
+
+
+def test_a_quick_program_is_for_its_context_alone(folder: Path) -> None:
+    with programs.quick_programs():
+        KeptFunction(scaled)(jnp.ones(2), 2.0)
+    KeptFunction(scaled)(jnp.ones(2), 2.0)
+    programs.optimise_programs()
+    assert names(folder) == {programs.QUICK_SUFFIX, ".program"} and programs._optimiser is None
+
+
+def test_a_damaged_quick_program_is_made_again(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with programs.quick_programs():
+        KeptFunction(scaled)(jnp.ones(2), 2.0)
+    (file,) = folder.iterdir()
+    file.write_bytes(file.read_bytes()[:-9])
+    with programs.quick_programs():
+        np.testing.assert_array_equal(KeptFunction(scaled)(jnp.ones(2), 2.0), [2.0, 2.0])
+    (line,) = (record.getMessage() for record in caplog.records)
+    assert "damaged" in line and names(folder) == {programs.QUICK_SUFFIX}
 
 
 def test_the_folder_has_a_bound(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
