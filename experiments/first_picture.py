@@ -2,9 +2,10 @@
 
     python -m experiments.first_picture [--repeats 5] [--cold 2] [--out results/first_picture]
 
-Takes about two minutes on two idle cores. Every command is a process of its own, timed from its start to its end;
-the commands take turns. A cold start has an empty cache folder, in which the room is made, its light estimated and
-everything compiled; the second start finds that folder. The programs' files are in the system's cache in both.
+Takes about two minutes on two idle cores. Every command is a process of its own, timed from start to end, in turns.
+A cold start has an empty cache folder, in which the room is made, its light estimated and everything compiled,
+and is timed until its first picture, too. The second start finds that folder. Programs' files are in the system's
+cache.
 
 Python must be free to keep its bytecode, as it does of what is installed: with PYTHONDONTWRITEBYTECODE set, a start
 takes half a second more.
@@ -16,9 +17,11 @@ import dataclasses
 import json
 import os
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
@@ -31,7 +34,12 @@ from hyjax.util.clock import Stopwatch
 from hyjax.util.errors import InputError
 
 IMPORTS = "import jax", "import hyjax.relighting.run"
-COLD, SECOND = "relight, cold", "relight, second start"
+COLD, FIRST, SECOND = (
+    "relight, cold, all frames",
+    "relight, cold, until the first picture",
+    "relight, second start, one frame",
+)
+POLL_SECONDS = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,30 +59,47 @@ def main(config: Config, start: Start) -> None:
     results = start()
     with tempfile.TemporaryDirectory() as temporary:
         cache, out = Path(temporary), Path(temporary) / "out"
-        relight = ["relight", "--frames", "0", "--quiet", "--size", config.size, "--out", str(out)]
+        relight = ["-m", "hyjax.cli", "relight", "--quiet", "--size", config.size, "--out", str(out)]
         relight += [] if config.capture is None else ["--capture", str(config.capture)]
         calls = {f"hyjax {option}": ["-m", "hyjax.cli", option] for option in ("--version", "--help")}
         calls |= {program: ["-c", program] for program in IMPORTS}
         for number in range(config.cold):
-            results.add(**timed(COLD, ["-m", "hyjax.cli", *relight], cache / str(number)))
+            shutil.rmtree(out, ignore_errors=True)
+            for row in timed(COLD, relight, cache / str(number), out):
+                results.add(**row)
         results.add(**stages(COLD, out))
         for _ in range(config.repeats):
-            for name, arguments in (calls | {SECOND: ["-m", "hyjax.cli", *relight]}).items():
-                results.add(**timed(name, arguments, cache / "0"))
+            for name, arguments in (calls | {SECOND: [*relight, "--frames", "0"]}).items():
+                for row in timed(name, arguments, cache / "0"):
+                    results.add(**row)
         results.add(**stages(SECOND, out))
 
 
-def timed(name: str, arguments: Sequence[str], cache: Path) -> Row:
-    """Row of a process of Python: seconds from start to end, of all cores, and the machine's load before."""
+def timed(name: str, arguments: Sequence[str], cache: Path, out: Path | None = None) -> list[Row]:
+    """Rows of a process of Python: seconds from start to end, of all cores, and the machine's load before.
+
+    With the folder `out`, first the seconds until a relit picture is there.
+    """
     before, load, watch = resource.getrusage(resource.RUSAGE_CHILDREN), os.getloadavg()[0], Stopwatch()
-    done = subprocess.run(
-        [sys.executable, *arguments], capture_output=True, text=True, env=os.environ | {"HYJAX_CACHE": str(cache)}
-    )
-    seconds, after = watch.seconds, resource.getrusage(resource.RUSAGE_CHILDREN)
-    if done.returncode:
-        raise InputError(f"{name}: failed: {done.stderr.strip().splitlines()[-1]}")
+    rows: list[Row] = []
+    with tempfile.TemporaryFile("w+") as told:
+        process = subprocess.Popen(
+            [sys.executable, *arguments],
+            stdout=subprocess.DEVNULL,
+            stderr=told,
+            env=os.environ | {"HYJAX_CACHE": str(cache)},
+        )
+        if out is not None:
+            while process.poll() is None and not any(out.glob("*.relit.png")):
+                time.sleep(POLL_SECONDS)
+            rows.append({"kind": "start", "start": FIRST, "seconds": watch.seconds, "load": load})
+        status, seconds = process.wait(), watch.seconds
+        told.seek(0)
+        if status:
+            raise InputError(f"{name}: failed: {told.read().strip().splitlines()[-1]}")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return {"kind": "start", "start": name, "seconds": seconds, "cpu_seconds": used, "load": load}
+    return [*rows, {"kind": "start", "start": name, "seconds": seconds, "cpu_seconds": used, "load": load}]
 
 
 def stages(name: str, out: Path) -> Row:
@@ -91,8 +116,12 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     lines = []
     for name in names:
         own = [row for row in starts if row["start"] == name]
-        seconds, used = (sorted(row[key] for row in own) for key in ("seconds", "cpu_seconds"))
-        lines.append([name, f"{median(seconds):.2f}", f"{seconds[0]:.2f}", f"{median(used):.2f}", str(len(own))])
+        seconds, used = (
+            sorted(row["seconds"] for row in own),
+            [row["cpu_seconds"] for row in own if "cpu_seconds" in row],
+        )
+        of_cores = f"{median(used):.2f}" if used else "–"
+        lines.append([name, f"{median(seconds):.2f}", f"{seconds[0]:.2f}", of_cores, str(len(own))])
     load = (
         f"load before a start: {min(row['load'] for row in starts):.1f} to {max(row['load'] for row in starts):.1f}"
     )
