@@ -57,6 +57,7 @@ class TuningScene:
         self.name, self.scene, self.accurate = name, scene, accurate
         scene.kept_maps.most = KEPT_MAPS
         self._target = functools.lru_cache(maxsize=None)(self._make_target)
+        self._setup = functools.lru_cache(maxsize=None)(functools.partial(scene.lights, at_photo_sources=True))
 
     def __len__(self) -> int:
         return len(self.scene)
@@ -67,8 +68,8 @@ class TuningScene:
         return self.accurate is None
 
     def setup(self, lights: str) -> LightSetup:
-        """Light set-up by name, or from a file."""
-        return self.scene.lights(lights, at_photo_sources=True)
+        """Light set-up by name, or from a file; kept."""
+        return self._setup(lights)
 
     def target(self, lights: str, index: int) -> Target:
         """Target of a frame under a set-up; kept."""
