@@ -32,6 +32,9 @@ from hyjax.util.programs import keeps_programs, make_ready
 
 THREADS = 2
 """Number of threads that compile."""
+MOST_QUICK_STEPS = 8.0
+"""Most steps at full size, over both cascades, that are run by programs without optimisation: more take longer than
+optimising does."""
 
 
 class EvenlyLitPlace:
@@ -51,6 +54,12 @@ class EvenlyLitPlace:
         even, none = (make((len(mesh.vertices), 3), np.float32) for make in (np.ones, np.zeros))
         parts = (even, none, np.asarray(mesh.faces, np.int32))
         return SurfaceLight(*map(jax.device_put, parts))
+
+
+def is_short(configuration: Configuration) -> bool:
+    """Whether the cascades take so few steps that their programs may do without optimisation at first."""
+    both = configuration.schedule, configuration.shadow_schedule
+    return sum(level.steps / level.factor**2 for cascade in both for level in cascade.levels) <= MOST_QUICK_STEPS
 
 
 def knows_lights(scene: Scene, lights: Any, settings: RelightSettings) -> bool:

@@ -22,7 +22,7 @@ from hyjax.guide.choose import FrameGuide, configured_guide
 from hyjax.light.kinds import Light, kind_name
 from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import dark_share
-from hyjax.relighting.ahead import begin_programs, compile_ahead, knows_lights
+from hyjax.relighting.ahead import begin_programs, compile_ahead, is_short, knows_lights
 from hyjax.relighting.frames import RelitFrame, cycles, relit_frames, relit_on_device
 from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
 from hyjax.relighting.settings import RelightSettings
@@ -39,8 +39,8 @@ from hyjax.util.environment import environment, peak_memory_mib
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, remove, write_text
 from hyjax.util.prefetch import DEPTH, background_writer
-from hyjax.util.programs import optimise_programs, quick_programs
 from hyjax.util.progress import CommandBar, command_bar
+from hyjax.util.quick_programs import optimise_programs, quick_programs
 
 _log = logging.getLogger(__name__)
 SHEET_ROWS = 12
@@ -126,7 +126,7 @@ def relight_run(
             return settings.scene.open_capture(progress=progress)
 
     with command_bar("relighting", "frame", disable=settings.quiet) as bar, ExitStack() as stack:
-        stack.enter_context(quick_programs())
+        stack.enter_context(quick_programs(wanted=is_short(configuration)))
         capture = None
         if scene is None and settings.scene.capture is not None:
             capture = open_capture()  # one that cannot be used makes no folder

@@ -93,12 +93,13 @@ def exposed(
 
 def bounded(setup: LightSetup, lux: Float[np.ndarray, "n l"], seen: SeenSurface, response: Response) -> LightSetup:
     """Set-up of a fixed exposure, which is left only where pictures would end dark or burnt out."""
-    light = (lux * paleness(setup.lights)).sum(axis=1) + response.near
-    median = float(np.median(seen.of_cameras(light / response.photo_light)))
-    reference = float(setup.reference_lux)
-    if median < LEAST_KEPT * reference:
-        reference = median / KEPT_WHERE_DARK
-    least = max(median / MOST_KEPT, _least_unburnt(light, seen, response), 1e-3)
+    pale, strongest = (light.sum(axis=1) + response.near for light in (lux * paleness(setup.lights), lux))
+    filtered = pale / response.photo_light
+    median, reference = float(np.median(seen.of_cameras(filtered))), float(setup.reference_lux)
+    if 0 < median < LEAST_KEPT * reference:
+        unburnt = float(np.quantile(filtered, 0.95)) / LARGEST_FILTER
+        reference = min(reference, max(median / KEPT_WHERE_DARK, unburnt))
+    least = max(median / MOST_KEPT, _least_unburnt(strongest, seen, response))
     return LightSetup(setup.lights, max(reference, least))
 
 

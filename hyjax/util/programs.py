@@ -7,7 +7,6 @@ elsewhere, or by another version, is not found. As JAX's own cache of compiled p
 only its owner can write to.
 """
 
-import contextlib
 import functools
 import glob
 import hashlib
@@ -20,7 +19,6 @@ import re
 import secrets
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Generic, ParamSpec, TypeVar
 
@@ -31,6 +29,7 @@ from jax.experimental import serialize_executable
 from hyjax.util.cache import remove_oldest, tell_unkept, touch
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write, remove, remove_stale
+from hyjax.util.quick_programs import QUICK_OPTIONS, QUICK_SUFFIX, are_quick, submit_once
 
 P = ParamSpec("P")
 T = TypeVar("T", covariant=True)
@@ -40,23 +39,12 @@ MOST_BYTES = 300_000_000
 """Most bytes of kept programs, some four million a size of picture; those that were used longest ago go first."""
 OPTION = re.compile("XLA_|JAX_(?!.*_CACHE(?:_|$))")
 """Pattern of variables that may change a program; those of JAX's own cache change none."""
-QUICK_OPTIONS: dict[str, bool | int] = {
-    "xla_backend_optimization_level": 0,
-    "xla_llvm_disable_expensive_passes": True,
-    "xla_cpu_use_fusion_emitters": False,
-}
-"""XLA's options of programs that are wanted at once: a fifth of the time to compile, five times that to run."""
-THREADS = 2
-"""Number of threads that optimise."""
-QUICK_SUFFIX = ".quick.program"
 LEAST_SECONDS = "jax_persistent_cache_min_compile_time_secs"
 MOST_AREAS = 0.6
 """Share of a process's areas of memory up to which compiled programs stay."""
 _log = logging.getLogger(__name__)
 _folder: Path | None = None
 _told = False
-_quick = False
-_optimiser: ThreadPoolExecutor | None = None
 _lock = threading.Lock()
 _functions: dict[Callable[..., Any], Any] = {}
 """Functions that have been run, with their programs."""
@@ -71,29 +59,6 @@ def keep_programs(folder: Path | None) -> None:
 def keeps_programs() -> bool:
     """Whether programs are kept."""
     return _folder is not None
-
-
-@contextlib.contextmanager
-def quick_programs() -> Iterator[None]:
-    """Context in which programs that are not kept yet are compiled without optimisation, and run slower for it.
-
-    See `optimise_programs`. What has not been optimised at the end is the next time.
-    """
-    global _quick, _optimiser
-    _quick = jax.default_backend() == "cpu"
-    try:
-        yield
-    finally:
-        _quick, pool, _optimiser = False, _optimiser, None
-        if pool is not None:
-            pool.shutdown(wait=False, cancel_futures=True)
-
-
-def optimise_programs() -> None:
-    """Optimise each quick program that is run from now on, on another thread; it takes over once it is compiled."""
-    global _optimiser
-    if _quick and _optimiser is None:
-        _optimiser = ThreadPoolExecutor(THREADS, thread_name_prefix="optimised programs")
 
 
 class KeptFunction(Generic[P, T]):
@@ -142,10 +107,7 @@ class KeptFunction(Generic[P, T]):
             with self._making.setdefault(key, threading.Lock()):  # threads that ask for the same wait for it
                 if key not in self._ready:
                     self._ready[key] = self._program(key, args, arrays)
-        pool = _optimiser
-        if pool is not None and (optimise := self._to_optimise.pop(key, None)) is not None:
-            with contextlib.suppress(RuntimeError):  # the pool has just been shut down
-                pool.submit(optimise)
+        submit_once(self._to_optimise, key)
         return self._ready[key], arrays
 
     def _program(self, key: tuple[Any, ...], args: Any, kwargs: Any) -> Callable[..., T]:
@@ -160,7 +122,8 @@ class KeptFunction(Generic[P, T]):
         quick_file = file.with_suffix(QUICK_SUFFIX)
         if (program := _read_kept(file, tree)) is not None:
             return program
-        if _quick and (program := _read_kept(quick_file, tree)) is not None:
+        quick = are_quick()
+        if quick and (program := _read_kept(quick_file, tree)) is not None:
             shaped = jax.tree.map(_shape_of, (args, kwargs))
             self._to_optimise[key] = functools.partial(
                 self._optimise, key, file, lambda: _lowered(function, self._name, *shaped)
@@ -169,7 +132,7 @@ class KeptFunction(Generic[P, T]):
         if not (file.is_file() or quick_file.is_file()):
             _tell_of_others(_folder, self._name, here)
         lowered = _lowered(function, self._name, args, kwargs)
-        if _quick:
+        if quick:
             self._to_optimise[key] = functools.partial(self._optimise, key, file, lambda: lowered)
             return _compiled(lowered, quick_file, QUICK_OPTIONS)
         return _compiled(lowered, file)
@@ -178,7 +141,6 @@ class KeptFunction(Generic[P, T]):
         """Compile a quick program once more, in its place."""
         try:
             self._ready[key] = _compiled(lower(), file)
-            remove(file.with_suffix(QUICK_SUFFIX))
         except Exception as error:  # of XLA: the quick one stays
             _log.info("%s: not optimised (%s)", file, error)
 
@@ -248,6 +210,8 @@ def _compiled(
         compiled = lowered.compile(compiler_options=options)
     try:
         _write(file, compiled)
+        if options is None:
+            remove(file.with_suffix(QUICK_SUFFIX))
         remove_oldest(file.parent, "*.program", MOST_BYTES)
     except InputError as error:  # of a full disk
         tell_unkept(file.parent, error)
@@ -286,8 +250,6 @@ _unwritten = _Unwritten()
 
 def _read_kept(file: Path, tree: Any) -> Callable[..., Any] | None:
     """Program of a file; None if there is none that is whole."""
-    if not file.is_file():
-        return None
     try:
         content = file.read_bytes()
         if hashlib.sha256(content[32:]).digest() != content[:32]:
@@ -296,6 +258,8 @@ def _read_kept(file: Path, tree: Any) -> Callable[..., Any] | None:
         program = serialize_executable.deserialize_and_load(payload, tree, out_tree)
         touch(file)
         return program
+    except FileNotFoundError:
+        return None
     except Exception as error:  # Damage shows itself in a dozen ways; all mean the same.
         _log.warning("%s: damaged (%s), it is made again", file, error)
         return None

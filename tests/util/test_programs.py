@@ -14,7 +14,7 @@ import pytest
 
 from hyjax.light.kinds import AmbientLight, PointLight, pytree
 from hyjax.light.setup import LightSetup
-from hyjax.util import compiled_cache, programs
+from hyjax.util import compiled_cache, programs, quick_programs
 from hyjax.util.cache import remove_oldest
 from hyjax.util.programs import KeptFunction
 
@@ -163,12 +163,12 @@ def optimised(folder: Path) -> None:
 
 def test_a_quick_program_is_optimised_once_it_is_run_again(folder: Path) -> None:
     kept, arrays = KeptFunction(lambda x, factor: factor * jnp.sin(x)), (jnp.ones(2), 2.0)
-    with programs.quick_programs():
+    with quick_programs.quick_programs():
         quick = kept(*arrays)
         (first,) = kept._ready.values()
-        assert np.array_equal(kept(*arrays), quick) and names(folder) == {programs.QUICK_SUFFIX}
-        programs.optimise_programs()
-        assert names(folder) == {programs.QUICK_SUFFIX}, "what runs no more is left"
+        assert np.array_equal(kept(*arrays), quick) and names(folder) == {quick_programs.QUICK_SUFFIX}
+        quick_programs.optimise_programs()
+        assert names(folder) == {quick_programs.QUICK_SUFFIX}, "what runs no more is left"
         kept(*arrays)
         optimised(folder)
     (second,) = kept._ready.values()
@@ -179,37 +179,61 @@ def test_a_quick_program_is_optimised_once_it_is_run_again(folder: Path) -> None
 def test_a_quick_program_is_read_by_the_next_start_and_optimised_there(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with programs.quick_programs():
+    with quick_programs.quick_programs():
         KeptFunction(scaled)(jnp.ones(2), 2.0)
     lower = programs._lowered
-    with monkeypatch.context() as patch, programs.quick_programs():
+    with monkeypatch.context() as patch, quick_programs.quick_programs():
         patch.setattr(programs, "_lowered", lambda *_: pytest.fail("compiled"))
         kept = KeptFunction(scaled)
         np.testing.assert_array_equal(kept(jnp.ones(2), 2.0), [2.0, 2.0])
         patch.setattr(programs, "_lowered", lower)
-        programs.optimise_programs()
+        quick_programs.optimise_programs()
         kept(jnp.ones(2), 3.0)
         optimised(folder)
     np.testing.assert_array_equal(kept(jnp.ones(2), 4.0), [4.0, 4.0])
 
 
+def test_what_one_context_has_not_optimised_the_next_one_does(folder: Path) -> None:
+    kept = [KeptFunction(lambda x, number=number: jnp.sin(x) + number) for number in range(5)]
+    for _ in range(2 * len(kept)):
+        with quick_programs.quick_programs():
+            for function in kept:
+                function(jnp.ones(2))
+            quick_programs.optimise_programs()
+            for function in kept:
+                function(jnp.ones(2))
+        waiting = [function for function in kept if function._to_optimise]
+        if not waiting:
+            break
+    assert not waiting
+    optimised(folder)
+
+
+def test_a_context_within_another_ends_nothing(folder: Path) -> None:
+    with quick_programs.quick_programs():
+        with quick_programs.quick_programs(wanted=False), quick_programs.quick_programs():
+            pass
+        KeptFunction(scaled)(jnp.ones(2), 2.0)
+    assert names(folder) == {quick_programs.QUICK_SUFFIX}
+
+
 def test_a_quick_program_is_for_its_context_alone(folder: Path) -> None:
-    with programs.quick_programs():
+    with quick_programs.quick_programs():
         KeptFunction(scaled)(jnp.ones(2), 2.0)
     KeptFunction(scaled)(jnp.ones(2), 2.0)
-    programs.optimise_programs()
-    assert names(folder) == {programs.QUICK_SUFFIX, ".program"} and programs._optimiser is None
+    quick_programs.optimise_programs()
+    assert names(folder) == {".program"} and quick_programs._optimiser is None
 
 
 def test_a_damaged_quick_program_is_made_again(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with programs.quick_programs():
+    with quick_programs.quick_programs():
         KeptFunction(scaled)(jnp.ones(2), 2.0)
     (file,) = folder.iterdir()
     file.write_bytes(file.read_bytes()[:-9])
-    with programs.quick_programs():
+    with quick_programs.quick_programs():
         np.testing.assert_array_equal(KeptFunction(scaled)(jnp.ones(2), 2.0), [2.0, 2.0])
     (line,) = (record.getMessage() for record in caplog.records)
-    assert "damaged" in line and names(folder) == {programs.QUICK_SUFFIX}
+    assert "damaged" in line and names(folder) == {quick_programs.QUICK_SUFFIX}
 
 
 def test_the_folder_has_a_bound(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

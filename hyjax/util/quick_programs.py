@@ -1,0 +1,69 @@
+"""Programs that are wanted at once: compiled without optimisation, and optimised on other threads later."""
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import jax
+
+QUICK_OPTIONS: dict[str, bool | int] = {
+    "xla_backend_optimization_level": 0,
+    "xla_llvm_disable_expensive_passes": True,
+    "xla_cpu_use_fusion_emitters": False,
+}
+"""XLA's options of quick programs: several times less time to compile, and more to run."""
+QUICK_SUFFIX = ".quick.program"
+THREADS = 2
+"""Number of threads that optimise."""
+_lock = threading.Lock()
+_contexts = 0
+_optimiser: ThreadPoolExecutor | None = None
+
+
+@contextlib.contextmanager
+def quick_programs(wanted: bool = True) -> Iterator[None]:
+    """Context in which programs that are not kept yet are compiled without optimisation, and run slower for it.
+
+    See `optimise_programs`. What has not been optimised at the end is the next time.
+    """
+    global _contexts, _optimiser
+    with _lock:
+        _contexts += wanted
+    try:
+        yield
+    finally:
+        with _lock:
+            _contexts -= wanted
+            pool, _optimiser = (None, _optimiser) if _contexts else (_optimiser, None)
+        if pool is not None:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def are_quick() -> bool:
+    """Whether programs are to be compiled without optimisation."""
+    return _contexts > 0 and jax.default_backend() == "cpu"
+
+
+def optimise_programs() -> None:
+    """Optimise each quick program that is run from now on, on another thread; it takes over once it is compiled."""
+    global _optimiser
+    with _lock:
+        if _contexts and _optimiser is None:
+            _optimiser = ThreadPoolExecutor(THREADS, thread_name_prefix="optimised programs")
+
+
+def submit_once(tasks: dict[object, Callable[[], None]], key: object) -> None:
+    """Submit a program's optimisation, if programs are being optimised; cancelled, it comes back into `tasks`."""
+    pool = _optimiser
+    if pool is None or (task := tasks.pop(key, None)) is None:
+        return
+
+    def restore(future: Future[None]) -> None:
+        if future.cancelled():
+            tasks[key] = task
+
+    try:
+        pool.submit(task).add_done_callback(restore)
+    except RuntimeError:  # the pool has just been shut down
+        tasks[key] = task
