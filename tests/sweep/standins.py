@@ -50,7 +50,7 @@ def die_afterwards(payload: Payload) -> Payload:
     """A kill of its own process after the result has been reported, where no mark is left yet."""
     doubled = double(payload)
     if not (mark := Path(payload["mark"])).exists():
-        threading.Timer(0.2, lambda: (mark.touch(), os.kill(os.getpid(), signal.SIGKILL))).start()
+        threading.Timer(1.0, lambda: (mark.touch(), os.kill(os.getpid(), signal.SIGKILL))).start()
     return doubled
 
 
