@@ -6,15 +6,17 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from hyjax.util.quick_programs import QUICK_OPTIONS
+
 if TYPE_CHECKING:
     import trimesh
 
     from hyjax.data.builtin_room import RoomCapture
 
 # Most of what tests compile runs once: optimising it takes longer than it saves, and so do fusion emitters.
-UNOPTIMISED = (
-    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
-    "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+UNOPTIMISED = " ".join(
+    f"--{name}={str(value).lower()}"
+    for name, value in {**QUICK_OPTIONS, "xla_cpu_parallel_codegen_split_count": 1}.items()
 )
 
 

@@ -119,7 +119,11 @@ def _apply(equation: JaxprEqn, values: list[Any]) -> list[Any]:
 
 def _scan(params: dict[str, Any], values: list[Any]) -> list[Any]:
     """Results of a `scan`, step by step."""
-    fixed, carried, length = params["num_consts"], params["num_carry"], params["length"]
+    if "ft_in" in params:  # since JAX 0.11
+        fixed, carried = (len(values) for values in params["ft_in"].unpack()[:2])
+    else:
+        fixed, carried = params["num_consts"], params["num_carry"]
+    length = params["length"]
     if length > MOST_STEPS:
         raise InputError(f"export: {length} steps in a row are too many to write out; at most {MOST_STEPS}")
     constant, state, rows = values[:fixed], values[fixed : fixed + carried], values[fixed + carried :]

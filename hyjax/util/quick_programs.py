@@ -10,9 +10,10 @@ import jax
 QUICK_OPTIONS: dict[str, bool | int] = {
     "xla_backend_optimization_level": 0,
     "xla_llvm_disable_expensive_passes": True,
-    "xla_cpu_use_fusion_emitters": False,
 }
 """XLA's options of quick programs: several times less time to compile, and more to run."""
+if jax.__version_info__ < (0, 11):  # later ones have no other emitters
+    QUICK_OPTIONS["xla_cpu_use_fusion_emitters"] = False
 QUICK_SUFFIX = ".quick.program"
 THREADS = 2
 """Number of threads that optimise."""
