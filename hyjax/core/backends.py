@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 
-from hyjax.core.inplace import steps_in_place
+from hyjax.core.fast_steps import steps_in_place, steps_unrolled
 from hyjax.util.cores import cores
 
 MOST_VALUES = 2**18
@@ -43,30 +43,24 @@ def with_fast_values(plain: Callable[..., Any], fast: Callable[..., Any]) -> Cal
     return function
 
 
-def select_backend(plain: Callable[..., Any], *, gpu_kernel: bool = False) -> Callable[..., Any]:
+def select_backend(plain: Callable[..., Any]) -> Callable[..., Any]:
     """Return repeated steps of diffusion by the fastest backend of the platform that they are compiled for.
 
-    Chosen while tracing: the number of cores counts as it is then. Under `vmap` the size is
-    that of one picture.
+    Chosen while tracing: cores and a GPU count as they are then. Under `vmap` the size is that of one picture.
 
     >>> import jax.numpy as jnp
     >>> steps = select_backend(lambda y, edges, step_sizes, fidelity, source: y)
     >>> edges = jnp.ones((3, 4)), jnp.ones((4, 3))
     >>> steps(jnp.ones((4, 4, 1)), edges, jnp.full(2, 0.2), None, None).shape
     (4, 4, 1)
-
-    Args:
-        gpu_kernel: whether to take `hyjax.core.tiles` on a GPU, which was not measured on one yet.
     """
 
     def choose(*arguments: Any) -> Any:
         backends: dict[str, Callable[..., Any]] = {}
         if arguments[0].size * max(1, cores() - 1) <= MOST_VALUES:
             backends["cpu"] = steps_in_place
-        if gpu_kernel:
-            from hyjax.core.tiles import steps_in_tiles
-
-            backends["cuda"] = steps_in_tiles
+        if jax.default_backend() == "gpu":
+            backends["cuda"] = steps_unrolled
         return jax.lax.platform_dependent(*arguments, **backends, default=plain) if backends else plain(*arguments)
 
     return choose

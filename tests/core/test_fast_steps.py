@@ -1,5 +1,7 @@
 """The fast forms of repeated steps against the plain one, and derivatives of the two together."""
 
+from collections.abc import Callable
+
 import hypothesis
 import jax
 import jax.numpy as jnp
@@ -11,10 +13,10 @@ from jax import export
 from hyjax import conductance, diffuse
 from hyjax.core.backends import select_backend, with_fast_values
 from hyjax.core.diffusion import _steps
-from hyjax.core.inplace import steps_in_place
-from hyjax.core.tiles import steps_in_tiles
+from hyjax.core.fast_steps import UNROLLED_STEPS, steps_in_place, steps_unrolled
 
 pytestmark = pytest.mark.usefixtures("strict_ranks")
+FORMS = pytest.mark.parametrize("form", [steps_in_place, steps_unrolled])
 
 
 def example(seed: int, h: int, w: int, c: int, n: int) -> tuple:
@@ -30,31 +32,41 @@ def example(seed: int, h: int, w: int, c: int, n: int) -> tuple:
     h=strategies.sampled_from([1, 2, 7, 40]),
     w=strategies.sampled_from([1, 3, 33]),
     c=strategies.sampled_from([1, 2, 5]),
-    n=strategies.sampled_from([0, 1, 2, 3, 8]),
+    n=strategies.sampled_from([0, 1, 2, 3, 9]),
     fidelity=strategies.sampled_from([None, 0.0, 0.4]),
     with_source=strategies.booleans(),
+    form=strategies.sampled_from([steps_in_place, steps_unrolled]),
 )
 def test_it_is_the_plain_form(
-    seed: int, h: int, w: int, c: int, n: int, fidelity: float | None, with_source: bool
+    seed: int,
+    h: int,
+    w: int,
+    c: int,
+    n: int,
+    fidelity: float | None,
+    with_source: bool,
+    form: Callable[..., jax.Array],
 ) -> None:
     y, edges, sizes, source = example(seed, h, w, c, n)
     rest = None if fidelity is None else jnp.float32(fidelity), source if with_source else None
-    expected, found = _steps(y, edges, sizes, *rest), steps_in_place(y, edges, sizes, *rest)
+    expected, found = _steps(y, edges, sizes, *rest), form(y, edges, sizes, *rest)
     assert found.dtype == expected.dtype
     np.testing.assert_allclose(found, expected, atol=2e-6)
     np.testing.assert_array_equal(found if n == 0 else y, y)
 
 
-def test_whatever_stands_on_the_rim_counts_nothing() -> None:
+@FORMS
+def test_whatever_stands_on_the_rim_counts_nothing(form: Callable[..., jax.Array]) -> None:
     y, edges, sizes, _ = example(0, 6, 5, 1, 4)
     flat = jnp.full_like(y, 1e6)
-    np.testing.assert_array_equal(steps_in_place(flat, edges, sizes, None, None), flat)
+    np.testing.assert_array_equal(form(flat, edges, sizes, None, None), flat)
 
 
+@FORMS
 @pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
-def test_half_precision_stays(dtype: jnp.dtype) -> None:
+def test_half_precision_stays(dtype: jnp.dtype, form: Callable[..., jax.Array]) -> None:
     y, edges, sizes, _ = example(1, 9, 8, 2, 5)
-    found = steps_in_place(y.astype(dtype), edges, sizes.astype(dtype), None, None)
+    found = form(y.astype(dtype), edges, sizes.astype(dtype), None, None)
     assert found.dtype == dtype
     np.testing.assert_allclose(found.astype(jnp.float32), _steps(y, edges, sizes, None, None), atol=0.02)
 
@@ -115,25 +127,20 @@ def test_diffuse_takes_it(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(diffuse(y, edges, sizes), _steps(y, edges, sizes, None, None), atol=2e-6)
 
 
+@pytest.mark.parametrize("there", [True, False])
+def test_a_gpu_takes_steps_written_out(monkeypatch: pytest.MonkeyPatch, there: bool) -> None:
+    """As far as that can be seen without one: in the program for CUDA a turn of the loop has several steps."""
+    y, edges, sizes, _ = example(6, 20, 30, 2, 2 * UNROLLED_STEPS)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu" if there else "cpu")
+    text = export.export(jax.jit(select_backend(_steps)), platforms=["cuda"])(
+        y, edges, sizes, None, None
+    ).mlir_module()
+    assert (text.count("stablehlo.while"), text.count("tensor<2x22x32xf32>") > UNROLLED_STEPS) == (1, there)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("held", [False, True])
-@pytest.mark.parametrize(
-    ("shape", "count"), [((1, 1, 1), 1), ((33, 17, 2), 0), ((33, 17, 2), 11), ((140, 150, 1), 11), ((200, 5, 1), 8)]
-)
-def test_tiles_are_the_plain_form(shape: tuple[int, int, int], count: int, held: bool) -> None:
-    """In the interpreter: pictures of one tile, of several, and of a size that tiles do not divide."""
-    y, edges, sizes, source = example(5, *shape, count)
-    rest = (jnp.float32(0.3), source) if held else (None, None)
-    found = steps_in_tiles(y, edges, sizes, *rest, interpret=True)
-    np.testing.assert_allclose(found, _steps(y, edges, sizes, *rest), atol=2e-6)
-
-
-@pytest.mark.parametrize("size", [64, 300])
-def test_tiles_become_a_gpu_kernel(size: int) -> None:
-    """As far as that can be seen without a GPU: `diffuse`, asked to, is lowered to Triton's code for CUDA."""
-    y, edges, sizes, _ = example(6, size, size, 2, 11)
-    checks = [export.DisabledSafetyCheck.custom_call("__gpu$xla.gpu.triton")]
-    for wanted in (True, False):
-        form = jax.jit(select_backend(_steps, gpu_kernel=wanted))
-        exported = export.export(form, platforms=["cuda"], disabled_checks=checks)(y, edges, sizes, None, None)
-        assert ("xla.gpu.triton" in exported.mlir_module()) == wanted
+@FORMS
+def test_large_pictures_and_long_runs(form: Callable[..., jax.Array]) -> None:
+    y, edges, sizes, source = example(5, 140, 150, 2, 3 * UNROLLED_STEPS + 1)
+    rest = jnp.float32(0.3), source
+    np.testing.assert_allclose(form(y, edges, sizes, *rest), _steps(y, edges, sizes, *rest), atol=2e-6)
