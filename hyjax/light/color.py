@@ -93,5 +93,5 @@ def _blackbody(t: Float[Array, ""]) -> Float[Array, "3"]:
             [0.0556434, -0.2040259, 1.0572252],
         ]
     )
-    rgb = jnp.maximum(to_rgb @ xyz, 0.0)
+    rgb = jnp.maximum(jnp.matmul(to_rgb, xyz, precision="highest"), 0.0)
     return rgb / luminance(rgb)

@@ -89,7 +89,7 @@ def edge_correction(view: View, light: Float[Array, "h w 3"], weights: Weights) 
     factor = max(1, round(max(shape) / LONGEST_SIDE))
     buffer = view.gbuffer
     normal, depth, hit = (x[::factor, ::factor] for x in (buffer.normal, buffer.depth, buffer.hit))
-    normal = jnp.where(hit[..., None], normal @ jnp.asarray(view.pose)[:3, :3], 0.0)
+    normal = jnp.where(hit[..., None], jnp.matmul(normal, jnp.asarray(view.pose)[:3, :3], precision="highest"), 0.0)
     depth = jnp.where(hit, depth, 1.0)
     frame, light = (downsample(x, factor) for x in (finite_or_zero(view.frame), light))
     log_frame = jnp.log(jnp.maximum(frame, LEAST_LIGHT))

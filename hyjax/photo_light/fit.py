@@ -62,7 +62,8 @@ class FitProblem:
 
 def illuminance(problem: FitProblem, theta: Float[Array, "k 3"]) -> Float[Array, "v 3"]:
     """Illuminance E = T c + B θ of the points."""
-    return problem.gathered + problem.basis @ theta
+    with jax.default_matmul_precision("highest"):  # a GPU would drop to 10 bits, and end the fit early
+        return problem.gathered + problem.basis @ theta
 
 
 def loss(log_theta: Float[Array, "k 3"], problem: FitProblem) -> Float[Array, ""]:

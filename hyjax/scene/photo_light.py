@@ -125,7 +125,7 @@ class ScenePhotoLight:
         photo, shares, kept = self.estimate.light, self.kept(setup.existing), None
         if shares.any():
             lux = jnp.asarray(setup.reference_lux * shares, jnp.float32)
-            kept = jnp.einsum("sc,svc->vc", lux, photo.sources)
+            kept = jnp.einsum("sc,svc->vc", lux, photo.sources, precision="highest")
         return SurfaceLight(photo.illuminance, bounced, photo.transport.faces, self.emitters(setup), kept)
 
     def summary(self, estimate: Estimate) -> str:
