@@ -131,7 +131,8 @@ def measured(calls: dict[str, Callable[[], Any]], config: Config) -> dict[str, d
 
 
 def furthest(a: Any, b: Any) -> float:
-    return float(np.abs(np.asarray(a) - np.asarray(b)).max())
+    a, b = (np.asarray(x.cpu() if hasattr(x, "cpu") else x) for x in (a, b))
+    return float(np.abs(a - b).max())
 
 
 def time_steps(config: Config, results: Results, floor: peers.Floor, torch: Any) -> None:
@@ -173,12 +174,12 @@ def time_steps(config: Config, results: Results, floor: peers.Floor, torch: Any)
 def torch_step_calls(
     torch: Any, y: np.ndarray, edges: list[np.ndarray], steps: int
 ) -> dict[str, Callable[[], Any]]:
-    state = torch.tensor(y[None].copy())
-    conductances = [torch.tensor(LAM * edge)[None, None] for edge in edges]
+    state = peers.torch_tensor(torch, y[None].copy())
+    conductances = [peers.torch_tensor(torch, LAM * edge)[None, None] for edge in edges]
     compiled = peers.torch_compiled(torch)
 
     def call(run: peers.Steps) -> Any:
-        with torch.inference_mode():
+        with peers.torch_values(torch):
             return run(state, *conductances, steps)
 
     return {TORCH: lambda: call(peers.torch_steps), COMPILED: lambda: call(compiled)}
@@ -193,11 +194,11 @@ def time_cascades(config: Config, results: Results, torch: Any) -> None:
             schedule = dataclasses.replace(schedule, pooling="guide")
         calls: dict[str, Callable[[], Any]] = {OURS: lambda s=schedule: hyjax.cascade(y_jax, guide_jax, s)}
         if torch is not None and name != "hyjax":
-            inputs = [torch.tensor(np.moveaxis(x, -1, 0)[None].copy()) for x in (y, guide)]
+            inputs = [peers.torch_tensor(torch, np.moveaxis(x, -1, 0)[None].copy()) for x in (y, guide)]
             compiled = peers.torch_compiled(torch)
 
             def call(run: peers.Steps, inputs: Any = inputs, schedule: Schedule = schedule) -> Any:
-                with torch.inference_mode():
+                with peers.torch_values(torch):
                     return peers.torch_cascade(*inputs, schedule, run)
 
             calls |= {TORCH: lambda c=call: c(peers.torch_steps), COMPILED: lambda c=call, r=compiled: c(r)}

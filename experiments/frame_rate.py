@@ -9,11 +9,13 @@ there are cores. *CPU* is time of all cores together, which other work on the ma
 
 - *Rate*: at 512 x 512, by sampling (see `RelightSettings.sampling`), on the scan and on finer meshes.
 - *Size*: 256² to 2048². Time a pixel at the largest size over that at the smallest should not be above 1.5.
+- *Shaders* (`--shaders f32 f16`): the same frames by WebGPU, see `hyjax.device`: launches alone, many in a row, and
+  with the picture's way to the device and back.
 - *Long* (`--long 20000`): rate and memory after a tenth, a half and all frames.
 - *Quality* (`--rooms NAME ...`): PSNR against the true pictures of rooms (`experiments.truth`), by sampling.
 - *Large frames* (`--large-rooms NAME ...`): the same of frames relit at half their size and at full size.
 
-Takes three minutes on two cores without the last three. `--guard` makes the process fail where a ratio within the
+Takes three minutes on two cores without the last four. `--guard` makes the process fail where a ratio within the
 run is beyond its limit.
 
 Expect: thirty frames a second and more on two idle cores, twenty on one; the same time a pixel at all sizes; and
@@ -39,6 +41,9 @@ from experiments.plotting import new_figure
 from experiments.records import Results, Row, machine, of_kind
 from hyjax.data.capture import Frame
 from hyjax.data.frames import fit, spread
+from hyjax.device.program import Precision
+from hyjax.device.renderer import DeviceRenderer
+from hyjax.device.webgpu import describe, open_device
 from hyjax.light.color import to_display_bytes
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.relighter import Relighter, refine
@@ -53,6 +58,7 @@ from hyjax.util.prefetch import prefetch
 RATE_SIZE = 512
 """Pixels a side of the pictures for frame rates by sampling and by mesh."""
 WARM_UP = 4
+SHADER_ROUNDS = 5
 LONG_PARTS = (0.1, 0.5, 1.0)
 MOST_DIVIDED_FACES = 1_000_000
 """Triangles up to which the photo's light is estimated: beyond, rays between all vertices would take minutes."""
@@ -73,6 +79,8 @@ class Config(RunConfig):
     """Of finer meshes: the scan, subdivided until it has as many."""
     sizes: tuple[int, ...] = (256, 512, 1024, 2048)
     """Side lengths of square pictures."""
+    shaders: tuple[Precision, ...] = ()
+    """Precisions in which WebGPU draws frames, too."""
     long: int = 0
     """Frames of one long run."""
     long_size: int = 512
@@ -178,6 +186,8 @@ def main(config: Config, start: Start) -> str | None:
         frames = WholeFrames(scene, config, size, config.samplings[0])
         count = max(8, min(config.frames, round(config.frames * (512 / size) ** 2)))
         results.add(kind="size", size=size, **frames.rate(count))
+    for precision in config.shaders:
+        add_shaders(results, scene, config, precision)
     if config.long:
         for mark in WholeFrames(scene, config, config.long_size, config.samplings[0]).long(config.long):
             results.add(kind="long", **mark)
@@ -216,6 +226,32 @@ def add_rate(results: Results, scene: Scene, config: Config, sampling: int) -> N
     stages = {name: time["median_ms"] for name, time in frames.clock.summary().items() if "median_ms" in time}
     faces = len(scene.mesh.faces)
     results.add(kind="rate", faces=faces, sampling=sampling, divided=divided, stages=stages, **found)
+
+
+def add_shaders(results: Results, scene: Scene, config: Config, precision: Precision) -> None:
+    chosen = RelightSettings(configuration=config.configuration).open_configuration()
+    device, size = open_device(precision), (RATE_SIZE, RATE_SIZE)
+    renderer = DeviceRenderer(
+        scene, scene.lights(config.lights, at_photo_sources=True), size, chosen.schedule, chosen.shadow_schedule,
+        light=chosen.light, precision=precision, device=device,
+    )  # fmt: skip
+    frames = [fit(scene.capture[index], size) for index in spread(range(len(scene)), 24)]
+    waits, clock = [], StageClock()
+    for frame in itertools.islice(itertools.cycle(frames), WARM_UP + config.frames):
+        watch = Stopwatch()
+        np.asarray(to_display_bytes(renderer.relight(frame.image, frame.camera)))
+        waits.append(1e3 * watch.seconds)
+    for _ in range(SHADER_ROUNDS + 1):
+        with clock("launches"):
+            for _ in range(config.frames):
+                renderer.engine.run("frame")
+            assert renderer.sees_surface  # waits for them
+    launches = 1e3 * np.array(clock.seconds["launches"][1:]) / config.frames
+    results.add(
+        kind="shaders", precision=precision, adapter=describe(device), size=RATE_SIZE,
+        launches_ms=float(np.median(launches)), slowest_launches_ms=float(launches.max()),
+        median_ms=float(np.median(waits[WARM_UP:])), p95_ms=float(np.percentile(waits[WARM_UP:], 95)),
+    )  # fmt: skip
 
 
 def guard(rows: Sequence[Row]) -> list[tuple[str, float, float, bool]]:
@@ -270,6 +306,11 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
     if sizes := of_kind(rows, "size"):
         lines = [[f"{row['size']}²", *timed(row), f"{1e6 * row['cpu_ms'] / row['size'] ** 2:.1f}"] for row in sizes]
         shown.append(Table("By size.", ["size", *header[2:], "CPU ns a pixel"], lines))
+    if drawn := of_kind(rows, "shaders"):
+        keys = "launches_ms", "median_ms", "p95_ms"
+        lines = [[row["adapter"], row["precision"], *(f"{row[key]:.2f}" for key in keys)] for row in drawn]
+        header = ["adapter", "precision", "launches, ms a frame", "frame with its copies, ms", "p95"]
+        shown.append(Table(f"By WebGPU, {drawn[0]['size']}², light at every pixel.", header, lines, names=2))
     if long := of_kind(rows, "long"):
         lines = [[str(row["frames"]), f"{row['fps']:.1f}", f"{row['memory_mib']:.0f}"] for row in long]
         shown.append(Table("One long run.", ["frames", "frames/s since the line above", "MiB"], lines))

@@ -12,10 +12,11 @@ import subprocess
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -136,6 +137,20 @@ def optional(name: str) -> Any:
 
 
 # ---- torch, written from the formula, channels first with a batch ----
+
+
+def torch_tensor(torch: Any, values: np.ndarray) -> Any:
+    """Values on the kind of device that hyjax runs on."""
+    return torch.tensor(values, device="cuda" if jax.default_backend() == "gpu" else "cpu")
+
+
+@contextlib.contextmanager
+def torch_values(torch: Any) -> Iterator[None]:
+    """Context without derivatives, which ends when what was begun in it is done."""
+    with torch.inference_mode():
+        yield
+    if jax.default_backend() == "gpu":
+        torch.cuda.synchronize()
 
 
 def torch_conductance(guide: Any, kappa: float) -> list[Any]:
