@@ -8,19 +8,23 @@ from tqdm import tqdm
 
 from hyjax.util.clock import Stopwatch
 
+SEARCH_SHARE = 0.6
+"""Share of a time limit after which the search ends: what was found is then timed and judged."""
+
 
 class RunMonitor:
-    """Time limit and progress bar of a run."""
+    """Time limit and progress bar of a run, from its making on."""
 
     def __init__(self, limit: float | None, progress: bool) -> None:
         self.clock, self.limit, self.progress = Stopwatch(), limit, progress
         self.best, self.bar = math.inf, tqdm(disable=True)
 
-    def begin(self) -> None:
-        """Count the time from now: opening and calibration before a search do not count."""
-        self.clock = Stopwatch()
-
     def expired(self) -> bool:
+        """Whether the search has to end."""
+        return self.limit is not None and self.clock.seconds > SEARCH_SHARE * self.limit
+
+    def over(self) -> bool:
+        """Whether the run has to end."""
         return self.limit is not None and self.clock.seconds > self.limit
 
     @contextlib.contextmanager

@@ -1,5 +1,6 @@
 """Proof of configurations: whole frames timed in turns, and judged on all cases, the held-out ones among them."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 ROUNDS = 100
 MOST_SECONDS = 20.0
 """Most seconds of timing, for each configuration."""
+FEWEST_PROVEN = 2
+"""Configurations that are judged however little time is left: the best, and the default."""
 NEXT_TO_NO_LOSS, FAR_FASTER = 0.005, 0.5
 """Share of loss that is given away, and share of the time that must be left for it."""
 LEAST_LOSS = 1e-9
@@ -31,18 +34,25 @@ def prove(
     *,
     progress: bool,
     done: Callable[[], None] = lambda: None,
+    most_seconds: float = math.inf,
+    over: Callable[[], bool] = lambda: False,
 ) -> list[Candidate]:
     """Configurations with times in turns, and scores on all cases.
 
     Args:
         stage: that they are of: its cases, and those held out, its judge and its clock.
         done: called after each configuration.
+        most_seconds: of timing, all of them together.
+        over: asked before each configuration but the first two; those after it are left out.
     """
-    times = stage.clock.times(configurations, ROUNDS, most_seconds=MOST_SECONDS * len(configurations))
+    most_seconds = min(most_seconds, MOST_SECONDS * len(configurations))
+    times = stage.clock.times(configurations, ROUNDS, most_seconds=most_seconds)
     cases, count, judge = [*stage.cases, *stage.held_out], len(stage.cases), stage.judge
-    default, found = judge.scores(stage.base, cases), []
+    default, found = judge.scores(stage.base, cases), list[Candidate]()
     bar = tqdm(configurations, "judging", unit="configuration", disable=not progress, leave=False)
     for configuration, time in zip(bar, times, strict=True):
+        if len(found) >= FEWEST_PROVEN and over():
+            break
         forget_programs_in_time()
         rows = judge.scores(configuration, cases)
         own, base = (np.log([max(row["loss"], LEAST_LOSS) for row in several]) for several in (rows, default))

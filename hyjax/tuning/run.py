@@ -38,6 +38,8 @@ FIRST_PHASES = ("default", "start")
 EXTRA_BUDGETS = (0.35, 0.5, 0.7, 1.0, 1.5)
 """Further points of the front, in times of the default."""
 ATTEMPTS = 3
+TIMING_SHARE = 0.1
+"""Share of a time limit in which the best are timed."""
 REPORT_SHARE = 20.0
 """A report of an unfinished search is written after so many times as long as it takes to write."""
 MORE_TRIALS = 8
@@ -117,7 +119,6 @@ class Run:
         self.monitor.enter("timing the default")
         base = self._base = self.stage.base_time(study)
         self.monitor.done()
-        self.monitor.begin()
         limits = [self.stage.limit(budget, base) for budget in self.budgets]
         self._so_far = functools.partial(
             unfinished, base=base, budgets=self.budgets, limits=limits, record=self._record()
@@ -126,24 +127,36 @@ class Run:
         state = self._searched(self.stage.space, study, limits, keep=True)
         candidates, state = self._finalists(state, study, limits)
         references = self.stage.references()
-        if self.settings.frame.paper_form and self.stage.name == "frame":
+        if self.settings.frame.paper_form and self.stage.name == "frame" and not self.monitor.expired():
             paper = Space.of(truth=True, paper=True)
             found = self._searched(paper, self._study("paper", resume=True), [math.inf])
             best = found.best(math.inf, cases=len(self.stage.cases))
             if best is not None:
                 references.append(self._polished(paper.configuration(best.choices, "paper-tuned")))
         self.monitor.enter("timing and judging the best")
-        proven = prove(
-            [*candidates, *references],
-            self.stage,
-            progress=not self.settings.quiet,
-            done=self.monitor.done,
-        )
-        result = self._result(state, proven[: len(candidates)], proven[len(candidates) :], base)
+        tuned, known = self._proven(candidates, references)
+        result = self._result(state, tuned, known, base)
         if self.settings.out is not None:
             self.monitor.enter("writing the report")
             write_results(self.settings.out, result)
         return result
+
+    def _proven(
+        self, candidates: Sequence[Configuration], references: Sequence[Configuration]
+    ) -> tuple[list[Candidate], list[Candidate]]:
+        """Candidates and references that there was time to judge."""
+        first = [*candidates[:1], *references[:1]]  # the answer, and what it is compared with
+        found = prove(
+            [*first, *references[1:], *candidates[1:]],
+            self.stage,
+            progress=not self.settings.quiet,
+            done=self.monitor.done,
+            most_seconds=math.inf if self.monitor.limit is None else TIMING_SHARE * self.monitor.limit,
+            over=self.monitor.over,
+        )
+        searched = {id(configuration) for configuration in candidates}
+        tuned = [candidate for candidate in found if id(candidate.configuration) in searched]
+        return tuned, [candidate for candidate in found if id(candidate.configuration) not in searched]
 
     @functools.cached_property
     def _polish_study(self) -> Study:
@@ -329,7 +342,7 @@ class Run:
         for budget in self.budgets:
             for _ in range(ATTEMPTS):
                 chosen = best_within(budget, found)
-                if chosen.name in again:
+                if chosen.name in again or self.monitor.over():
                     break
                 again.add(chosen.name)
                 (time,) = self.stage.clock.times([chosen.configuration], ROUNDS, most_seconds=MOST_SECONDS)

@@ -144,7 +144,7 @@ class TuneSettings(Settings):
     guide: str = "rgb"
     """Guide of the diffusion, where it is tuned alone: rgb, small or a safetensors file; see relight."""
     time_limit: float | None = None
-    """Seconds after which the search ends with the trials that it has."""
+    """Seconds that all may take, about: the search ends early enough to time and judge what it has."""
     extra: bool = True
     """Also tune for a few more budgets, to draw the curve of quality against time."""
     recalibrate: bool = False

@@ -35,6 +35,7 @@ FEWEST_CASES = 6
 """Cases of the first batch, at least."""
 POLISH_CASES = 12
 BASE_ROUNDS = 60
+CHECK_ROUNDS = 30
 EXAMPLE_CASES = 3
 BUDGET_SHARE = 0.98
 """Share of a budget that is aimed at: a p95 is a noisy number."""
@@ -250,13 +251,14 @@ def check_reachable(budgets: Sequence[Budget], base: FrameTime, space: Space, cl
         {"scale": 4, "cascade": "8:4", "shadow_pass": "none", "guide": "none"},
         {"scale": 4, "cascade": "4:6", "shadow_pass": "none", "sampling": 4},
     ]
-    cheap = [space.complete({n: x for n, x in each.items() if n not in space.fixed}) for each in smallest]
-    fastest = [space.configuration(choices, "fastest") for choices in cheap]
-    time, configuration = min(
-        zip(clock.times(fastest, BASE_ROUNDS), fastest, strict=True), key=lambda pair: pair[0].judged
-    )
-    if time.judged <= least.milliseconds:
-        return
+    found: list[tuple[FrameTime, Configuration]] = []
+    for choices in smallest:
+        choices = space.complete({name: value for name, value in choices.items() if name not in space.fixed})
+        configuration = space.configuration(choices, "fastest")
+        found += zip(clock.times([configuration], CHECK_ROUNDS), [configuration], strict=True)
+        if found[-1][0].judged <= least.milliseconds:
+            return
+    time, configuration = min(found, key=lambda pair: pair[0].judged)
     if time.disturbed or base.disturbed or time.judged >= base.judged:
         log.warning(
             "other work disturbs the clock: whether %.3g ms are in reach shows in the end", least.milliseconds

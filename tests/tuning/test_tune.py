@@ -215,6 +215,7 @@ def test_a_finished_run_resumed_computes_nothing(
 def test_time_is_up_at_once(surroundings: dict[str, Any], tmp_path: Path) -> None:
     result = run_tune(**surroundings | {"time_limit": 1e-3, "out": tmp_path / "out"})
     assert result.best[0].time.p95 <= 3.0
+    assert [candidate.name for candidate in result.references] == ["default"], "others are left out"
     assert (tmp_path / "out" / "report.html").is_file()
     assert "--resume with more time goes on" in summary(result)[-1]
 
