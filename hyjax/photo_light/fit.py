@@ -12,6 +12,7 @@ where q₉₅ is a quantile of the albedo: nearly every room has something white
 """
 
 import dataclasses
+import math
 from typing import Any
 
 import jax
@@ -71,15 +72,15 @@ def loss(log_theta: Float[Array, "k 3"], problem: FitProblem) -> Float[Array, ""
     log_light = jnp.log(illuminance(problem, jnp.exp(log_theta)) + RADIANCE_FLOOR)
     log_radiance = jnp.log(problem.radiance)
     residual = _difference(log_radiance - log_light, problem.pairs)
-    excess = jnp.maximum(log_radiance - np.log(HIGHEST_ALBEDO) - log_light, 0.0)
+    excess = jnp.maximum(log_radiance - math.log(HIGHEST_ALBEDO) - log_light, 0.0)
     white = high_quantile(log_radiance - log_light, problem.seen, WHITE_QUANTILE)
     rough = _difference(log_theta, problem.neighbours)
     return (
-        jnp.mean(jnp.sqrt(residual**2 + SMOOTH_L1**2))
-        + jnp.mean(jnp.where(problem.seen[:, None], excess, 0.0) ** 2)
-        + WHITENESS * jnp.mean((white - np.log(WHITE_ALBEDO)) ** 2)
-        + SMOOTHNESS * jnp.mean(rough**2)
-        + MEAN_WEIGHT * jnp.mean(log_theta**2)
+        _mean(jnp.sqrt(residual**2 + SMOOTH_L1**2))
+        + _mean(jnp.where(problem.seen[:, None], excess, 0.0) ** 2)
+        + WHITENESS * _mean((white - math.log(WHITE_ALBEDO)) ** 2)
+        + SMOOTHNESS * _mean(rough**2)
+        + MEAN_WEIGHT * _mean(log_theta**2)
     )
 
 
@@ -93,6 +94,11 @@ def high_quantile(values: Float[Array, "n c"], chosen: Bool[Array, "n"], quantil
     return high + (place - above) * (low - high)
 
 
+def _mean(values: Float[Array, "n c"] | Float[Array, "c"]) -> Float[Array, ""]:
+    """Mean with a sum in double precision, where there is any."""
+    return jnp.mean(values, dtype=float)
+
+
 def _difference(values: Float[Array, "n c"], pairs: Int[Array, "m 2"]) -> Float[Array, "m c"]:
     return values[pairs[:, 0]] - values[pairs[:, 1]]
 
@@ -104,10 +110,11 @@ def fit_sources(problem: FitProblem, iterations: int = ITERATIONS) -> Float[np.n
     """Strengths θ of the unknown sources, by L-BFGS-B within bounds (Byrd et al. 1995)."""
     import jaxopt
 
-    # A solver that compiles would do so for every fit.
-    options: Any = {"value_and_grad": True, "jit": False, "maxiter": iterations, "tol": 1e-7}
-    solver = jaxopt.ScipyBoundedMinimize(fun=_value_and_gradient, method="L-BFGS-B", **options)
+    # A solver that compiles would do so for every fit. It goes on while the loss falls, however little.
+    options: Any = {"value_and_grad": True, "jit": False, "maxiter": iterations, "options": {"ftol": 0.0}}
+    solver = jaxopt.ScipyBoundedMinimize(fun=_value_and_gradient, method="L-BFGS-B", tol=1e-7, **options)
     start, *bounds = (
         np.full((problem.basis.shape[1], 3), log, np.float32) for log in (START_LOG, LOWEST_LOG, HIGHEST_LOG)
     )
-    return np.exp(np.asarray(solver.run(start, tuple(bounds), problem).params, np.float64))
+    with jax.enable_x64(True):  # in single precision the loss would seem to stand still, at times early
+        return np.exp(np.asarray(solver.run(start, tuple(bounds), problem).params, np.float64))

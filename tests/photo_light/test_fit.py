@@ -1,6 +1,7 @@
 """Fit of the photo's light: a room whose light is known, and rooms that tell nothing."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import enclose, trace
 from hyjax.light.transport import Transport, bounce, gather, send
+from hyjax.photo_light import fit
 from hyjax.photo_light.basis import BINS, make_basis, window_light
 from hyjax.photo_light.belief import EXPONENTS, FOLD_COUNT, LARGEST_SIDE, LEAST_SHARE, best, flatness, folds
 from hyjax.photo_light.estimate import estimate_arrays, read_estimate
@@ -94,6 +96,22 @@ def test_the_light_of_a_known_room_is_found(lit: Lit) -> None:
     true = lit.light[: lit.count]
     assert spread(np.log(found / true)) < 0.3 * spread(np.log(true))
     assert spread(np.log(found / true)) < 0.08
+
+
+def test_rounding_does_not_end_the_fit(lit: Lit, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loss goes on falling where single precision sees none of it, with gradients of other rounding, too."""
+    problem, value_and_gradient = lit.problem(), fit._value_and_gradient
+    rng, values = np.random.default_rng(0), list[float]()
+
+    def rounded(*arguments: Any) -> Any:
+        value, slope = value_and_gradient(*arguments)
+        values.append(float(value))
+        return value, slope * (1 + 1e-6 * rng.standard_normal(slope.shape))
+
+    monkeypatch.setattr(fit, "_value_and_gradient", rounded)
+    fit_sources(problem)
+    assert len(values) >= fit.ITERATIONS, "none of them ended it"
+    assert np.any(np.float64(values) != np.float32(values)), "sums have double precision"
 
 
 def test_the_gradient_of_the_fit_is_that_of_finite_differences(lit: Lit) -> None:
