@@ -140,8 +140,12 @@ def optional(name: str) -> Any:
 
 
 def torch_tensor(torch: Any, values: np.ndarray) -> Any:
-    """Values on the kind of device that hyjax runs on."""
-    return torch.tensor(values, device="cuda" if jax.default_backend() == "gpu" else "cpu")
+    """Values on the kind of device that hyjax runs on, if torch can."""
+    return torch.tensor(values, device="cuda" if _both_on_a_gpu(torch) else "cpu")
+
+
+def _both_on_a_gpu(torch: Any) -> bool:
+    return jax.default_backend() == "gpu" and torch.cuda.is_available()
 
 
 @contextlib.contextmanager
@@ -149,7 +153,7 @@ def torch_values(torch: Any) -> Iterator[None]:
     """Context without derivatives, which ends when what was begun in it is done."""
     with torch.inference_mode():
         yield
-    if jax.default_backend() == "gpu":
+    if _both_on_a_gpu(torch):
         torch.cuda.synchronize()
 
 

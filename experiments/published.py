@@ -167,6 +167,7 @@ TABLES: dict[str, Published] = {
     "sweep": Published("sweep_overhead"),
     "sweep-kills": Published("sweep_kills"),
     "install": Published("install_size"),
+    "peers-gpu-steps": Published("peers_gpu", 0, caption="Steps on a GPU; the C loop on 16 processors beside it."),
     "peers-gpu": Published("peers_gpu", 1, caption="Cascades of 512 x 512, 3 channels, on a GPU."),
     # what does not carry over
     "fidelity-short": Published("paper_kitchen", 5, ("LPIPS", "PSNR dB"), LIGHT),

@@ -21,7 +21,7 @@ RIM = [(0, 0), (1, 1), (1, 1)]
 INNER_START = (0, 1, 1)
 """First element inside the rim."""
 UNROLLED_STEPS = 8
-"""Steps in a turn of the loop on a GPU: more of them took longer to compile and no less to run."""
+"""Steps in a turn of the loop on a GPU. More take longer to compile."""
 Step = Callable[[Float[Array, "c h+2 w+2"], Float[Array, ""]], Float[Array, "c h w"]]
 
 

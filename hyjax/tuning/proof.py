@@ -8,7 +8,8 @@ import numpy as np
 from tqdm import tqdm
 
 from hyjax.configuration import Configuration
-from hyjax.tuning.evaluation import mean_scores
+from hyjax.tuning.evaluation import Scores, mean_scores
+from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.request import Budget
 from hyjax.tuning.result import Candidate, Effect
 from hyjax.tuning.trial import Trial
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
 ROUNDS = 100
 MOST_SECONDS = 20.0
 """Most seconds of timing, for each configuration."""
-FEWEST_PROVEN = 2
-"""Configurations that are judged however little time is left: the best, and the default."""
+TIMING_SHARE = 0.1
+"""Share of a time limit in which the best for all budgets are timed, and each other configuration."""
 NEXT_TO_NO_LOSS, FAR_FASTER = 0.005, 0.5
 """Share of loss that is given away, and share of the time that must be left for it."""
 LEAST_LOSS = 1e-9
@@ -35,7 +36,7 @@ def prove(
     progress: bool,
     done: Callable[[], None] = lambda: None,
     most_seconds: float = math.inf,
-    over: Callable[[], bool] = lambda: False,
+    default: list[Scores] | None = None,
 ) -> list[Candidate]:
     """Configurations with times in turns, and scores on all cases.
 
@@ -43,16 +44,14 @@ def prove(
         stage: that they are of: its cases, and those held out, its judge and its clock.
         done: called after each configuration.
         most_seconds: of timing, all of them together.
-        over: asked before each configuration but the first two; those after it are left out.
+        default: scores of the stage's base on all cases, where they are known.
     """
     most_seconds = min(most_seconds, MOST_SECONDS * len(configurations))
     times = stage.clock.times(configurations, ROUNDS, most_seconds=most_seconds)
     cases, count, judge = [*stage.cases, *stage.held_out], len(stage.cases), stage.judge
-    default, found = judge.scores(stage.base, cases), list[Candidate]()
+    default, found = default or judge.scores(stage.base, cases), list[Candidate]()
     bar = tqdm(configurations, "judging", unit="configuration", disable=not progress, leave=False)
     for configuration, time in zip(bar, times, strict=True):
-        if len(found) >= FEWEST_PROVEN and over():
-            break
         forget_programs_in_time()
         rows = judge.scores(configuration, cases)
         own, base = (np.log([max(row["loss"], LEAST_LOSS) for row in several]) for several in (rows, default))
@@ -66,6 +65,35 @@ def prove(
         found.append(Candidate(configuration, tuning, held_out, time, form))
         done()
     return found
+
+
+def prove_in_time(
+    candidates: Sequence[Configuration],
+    references: Sequence[Configuration],
+    stage: "Stage",
+    budgets: int,
+    monitor: RunMonitor,
+) -> tuple[list[Candidate], list[Candidate], list[str]]:
+    """Candidates and references that there is time for, and the names of the others.
+
+    Args:
+        candidates: the first for so many budgets, others after them.
+        references: the base first.
+    """
+    first = [*candidates[:budgets], *references[:1]]  # the answers, and what they are compared with: in any case
+    others = [*references[1:], *candidates[budgets:]]
+    limit, found = monitor.limit, list[Candidate]()
+    default = stage.judge.scores(stage.base, [*stage.cases, *stage.held_out])
+    for group in [[*first, *others]] if limit is None else [first, *([each] for each in others)]:
+        if found and monitor.over():
+            break
+        most_seconds = math.inf if limit is None else TIMING_SHARE * limit
+        progress, done = monitor.progress, monitor.done
+        found += prove(group, stage, progress=progress, done=done, most_seconds=most_seconds, default=default)
+    searched = {id(configuration) for configuration in candidates}
+    tuned = [candidate for candidate in found if id(candidate.configuration) in searched]
+    known = [candidate for candidate in found if id(candidate.configuration) not in searched]
+    return tuned, known, [configuration.name for configuration in [*first, *others][len(found) :]]
 
 
 def front_of(candidates: Sequence[Candidate]) -> list[Candidate]:

@@ -166,10 +166,13 @@ def unjudged(tuned: Tuned) -> list[str]:
 
 
 def cut_short(tuned: Tuned) -> list[str]:
-    """That the time limit has ended the search, if it has."""
-    if not tuned.record.get("time was up"):
-        return []
-    return [f"The time was up after {tuned.record['trials']} trials; --resume with more time goes on."]
+    """That the time limit has ended the search, or left configurations out, if it has."""
+    record, lines = tuned.record, list[str]()
+    if record.get("left out"):
+        lines.append(f"There was no time to time and judge {', '.join(record['left out'])}.")
+    if record.get("time was up"):
+        lines.append(f"The time was up after {record['trials']} trials; --resume with more time goes on.")
+    return lines
 
 
 def outdone(tuned: Tuned) -> list[str]:
@@ -238,7 +241,7 @@ def missed(budget: Budget, best: Candidate) -> list[str]:
         return []
     return [
         f"{budget_text(budget)} could not be kept: measured p95 {milliseconds(best.time.judged)} ms; "
-        f"{best.name} is the fastest that was found."
+        f"{best.name} is the fastest of those that were judged."
     ]
 
 

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from hyjax.configuration import Configuration
 from hyjax.tuning.clock import FrameTime
 from hyjax.tuning.monitor import RunMonitor
-from hyjax.tuning.proof import MOST_SECONDS, ROUNDS, best_within, effects, front_of, prove
+from hyjax.tuning.proof import MOST_SECONDS, ROUNDS, best_within, effects, front_of, prove_in_time
 from hyjax.tuning.report import REPORT_FILE, best_file, text_of, write_results
 from hyjax.tuning.report_page import page
 from hyjax.tuning.report_text import same
@@ -38,8 +38,6 @@ FIRST_PHASES = ("default", "start")
 EXTRA_BUDGETS = (0.35, 0.5, 0.7, 1.0, 1.5)
 """Further points of the front, in times of the default."""
 ATTEMPTS = 3
-TIMING_SHARE = 0.1
-"""Share of a time limit in which the best are timed."""
 REPORT_SHARE = 20.0
 """A report of an unfinished search is written after so many times as long as it takes to write."""
 MORE_TRIALS = 8
@@ -126,37 +124,23 @@ class Run:
         limits = [*limits, *(EXTRA_BUDGETS if self.settings.extra else ())]
         state = self._searched(self.stage.space, study, limits, keep=True)
         candidates, state = self._finalists(state, study, limits)
+        self._time_was_up = self.monitor.expired()
         references = self.stage.references()
-        if self.settings.frame.paper_form and self.stage.name == "frame" and not self.monitor.expired():
+        if self.settings.frame.paper_form and self.stage.name == "frame":
             paper = Space.of(truth=True, paper=True)
             found = self._searched(paper, self._study("paper", resume=True), [math.inf])
             best = found.best(math.inf, cases=len(self.stage.cases))
             if best is not None:
                 references.append(self._polished(paper.configuration(best.choices, "paper-tuned")))
         self.monitor.enter("timing and judging the best")
-        tuned, known = self._proven(candidates, references)
+        tuned, known, self._left_out = prove_in_time(
+            candidates, references, self.stage, len(self.budgets), self.monitor
+        )
         result = self._result(state, tuned, known, base)
         if self.settings.out is not None:
             self.monitor.enter("writing the report")
             write_results(self.settings.out, result)
         return result
-
-    def _proven(
-        self, candidates: Sequence[Configuration], references: Sequence[Configuration]
-    ) -> tuple[list[Candidate], list[Candidate]]:
-        """Candidates and references that there was time to judge."""
-        first = [*candidates[:1], *references[:1]]  # the answer, and what it is compared with
-        found = prove(
-            [*first, *references[1:], *candidates[1:]],
-            self.stage,
-            progress=not self.settings.quiet,
-            done=self.monitor.done,
-            most_seconds=math.inf if self.monitor.limit is None else TIMING_SHARE * self.monitor.limit,
-            over=self.monitor.over,
-        )
-        searched = {id(configuration) for configuration in candidates}
-        tuned = [candidate for candidate in found if id(candidate.configuration) in searched]
-        return tuned, [candidate for candidate in found if id(candidate.configuration) not in searched]
 
     @functools.cached_property
     def _polish_study(self) -> Study:
@@ -307,7 +291,8 @@ class Run:
             "default p95 at the start": base.judged,
             "disturbed": [time.default_p95, time.default_quiet_p95] if (time := best[0].time).disturbed else None,
             "kept": [budget.label for budget, c in zip(self.budgets, best) if c.time.judged <= budget.milliseconds],
-            "time was up": self.monitor.expired(),
+            "time was up": self._time_was_up,
+            "left out": self._left_out,
             "seconds": round(self.monitor.clock.seconds, 1),
             "peak memory, MiB": round(peak_memory_mib()),
         }

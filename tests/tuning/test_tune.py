@@ -24,6 +24,7 @@ from hyjax.data.capture import Capture
 from hyjax.tuning.cascade import CascadeStage
 from hyjax.tuning.evaluator import CascadeEvaluator
 from hyjax.tuning.factors import schedule_key
+from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.relaxation import FIDELITY_RANGE
 from hyjax.tuning.report_text import summary
 from hyjax.tuning.request import parse_budgets, split_frames
@@ -218,6 +219,18 @@ def test_time_is_up_at_once(surroundings: dict[str, Any], tmp_path: Path) -> Non
     assert [candidate.name for candidate in result.references] == ["default"], "others are left out"
     assert (tmp_path / "out" / "report.html").is_file()
     assert "--resume with more time goes on" in summary(result)[-1]
+
+
+def test_each_budget_is_answered_when_the_time_is_over(
+    surroundings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The search came to its end; of what it found, the best for the budgets asked and the default are proven."""
+    monkeypatch.setattr(RunMonitor, "over", lambda monitor: True)
+    result = run_tune(**surroundings | {"time_limit": 1e6, "budget_ms": (6.0, 1.2), "extra": True})
+    assert result.best[0].time.p95 <= 6.0 and result.best[1].time.p95 <= 1.2
+    assert [candidate.name for candidate in result.references] == ["default"]
+    (told,) = [line for line in summary(result) if "no time to time and judge" in line]
+    assert "naive-1000" in told and not any("time was up" in line for line in summary(result))
 
 
 def test_without_a_folder_nothing_is_written(
