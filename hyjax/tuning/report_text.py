@@ -171,7 +171,8 @@ def cut_short(tuned: Tuned) -> list[str]:
     if record.get("left out"):
         lines.append(f"There was no time to time and judge {', '.join(record['left out'])}.")
     if record.get("time was up"):
-        lines.append(f"The time was up after {record['trials']} trials; --resume with more time goes on.")
+        count = record["trials"]
+        lines.append(f"The time was up after {count} trial{'s' * (count > 1)}; --resume with more time goes on.")
     return lines
 
 
