@@ -131,9 +131,14 @@ def unfinished_search(tuned: Tuned) -> list[str]:
 def choices_of_best(tuned: Tuned) -> list[str]:
     """Sentences on the choices in which the best for each budget differ from the default."""
     words = {best.name: configuration_text(best.configuration) for best in tuned.best}
-    if len(words) == 1:
-        return [f"It differs from the default in: {text}." for text in words.values() if text != "the default"]
-    return [f"{name} differs from the default in: {text}." for name, text in words.items() if text != "the default"]
+
+    def sentence_of(name: str, text: str) -> str:
+        name = name if len(words) > 1 else "It"
+        if text == "the default":
+            return f"{name} is the default: nothing better was found."
+        return f"{name} differs from the default in: {text}."
+
+    return [sentence_of(name, text) for name, text in words.items() if name != "default"]
 
 
 def disturbed(tuned: Tuned) -> list[str]:

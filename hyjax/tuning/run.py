@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import functools
+import logging
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -33,6 +34,7 @@ from hyjax.util.environment import cores, environment, peak_memory_mib
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, write_text
 
+log = logging.getLogger(__name__)
 FIRST_PHASES = ("default", "start")
 """Phases of the first candidates, which are there before a budget is refused."""
 EXTRA_BUDGETS = (0.35, 0.5, 0.7, 1.0, 1.5)
@@ -117,6 +119,12 @@ class Run:
         self.monitor.enter("timing the default")
         base = self._base = self.stage.base_time(study)
         self.monitor.done()
+        if self.monitor.expired():
+            log.warning(
+                "time limit: %.0f s of %g have passed before the search, which judges one trial",
+                self.monitor.clock.seconds,
+                self.monitor.limit,
+            )
         limits = [self.stage.limit(budget, base) for budget in self.budgets]
         self._so_far = functools.partial(
             unfinished, base=base, budgets=self.budgets, limits=limits, record=self._record()

@@ -223,6 +223,14 @@ def test_sentences_where_less_is_known() -> None:
     assert choices == "It differs from the default in: guide none."
 
 
+def test_a_result_that_is_the_default_says_so() -> None:
+    tuned = fake([FPS60])
+    best = [
+        dataclasses.replace(c, configuration=dataclasses.replace(Configuration(), name=c.name)) for c in tuned.best
+    ]
+    assert "It is the default: nothing better was found." in report.summary(dataclasses.replace(tuned, best=best))
+
+
 def test_an_unfinished_search_and_further_budgets_are_told() -> None:
     record = {"unfinished": True, "trials": 7, "further budgets": [0.5, 1.0]}
     said = report.summary(fake([FPS60], record=record))
