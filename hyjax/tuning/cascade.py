@@ -34,7 +34,6 @@ from hyjax.tuning.settings import BudgetStage, TuneSettings
 from hyjax.tuning.space import Choices, Space
 from hyjax.tuning.stage import Stage
 from hyjax.tuning.study import Study
-from hyjax.util.clock import Stopwatch
 from hyjax.util.environment import environment
 from hyjax.util.errors import InputError
 
@@ -232,7 +231,7 @@ def tune_bench(
     stage = CascadeStage(bench, settings, chosen, holdout, latency)
     monitor = monitor or RunMonitor(settings.time_limit, not settings.quiet)
     if settings.target_device.device:
-        monitor.clock = Stopwatch()  # somebody had to open the page
+        monitor.begin()  # somebody had to open the page
     budgets = budgets or settings.budgets()
     for budget in budgets:  # before the folder holds a run
         stage.own_clock.check_reachable(budget.milliseconds)

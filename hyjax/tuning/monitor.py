@@ -13,11 +13,15 @@ SEARCH_SHARE = 0.6
 
 
 class RunMonitor:
-    """Time limit and progress bar of a run, from its making on."""
+    """Time limit and progress bar of a run."""
 
     def __init__(self, limit: float | None, progress: bool) -> None:
         self.clock, self.limit, self.progress = Stopwatch(), limit, progress
         self.best, self.bar = math.inf, tqdm(disable=True)
+
+    def begin(self) -> None:
+        """Count the time from now; else it counts from the monitor's making."""
+        self.clock = Stopwatch()
 
     def expired(self) -> bool:
         """Whether the search has to end."""

@@ -53,7 +53,7 @@ def prove(
     bar = tqdm(configurations, "judging", unit="configuration", disable=not progress, leave=False)
     for configuration, time in zip(bar, times, strict=True):
         forget_programs_in_time()
-        rows = judge.scores(configuration, cases)
+        rows = default if configuration is stage.base else judge.scores(configuration, cases)
         own, base = (np.log([max(row["loss"], LEAST_LOSS) for row in several]) for several in (rows, default))
         logs = own - base
         tuning, held_out = (
