@@ -31,6 +31,8 @@ from hyjax.util.terminal import end_output, open_closed_streams, quiet_libraries
 WITH_CAPTURE = ("relight", "tune", "tour")
 """Commands that take a capture as an option."""
 RENAMED_VALUES = {("--renderer", "hyjax"): "shadow_map"}
+SWITCH_SECONDS = 5e-4
+"""Seconds after which a thread that runs Python lets others: those that mostly compute outside wait less for it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,6 +122,10 @@ def main() -> None:
             return
         defer_interrupts()
         command = parse()
+        if type(command) in DRAWING:
+            from hyjax.util.compiled import compile_beside
+
+            compile_beside(KERNELS)
         RUNNERS[type(command)](command)
         sys.stdout.flush()
     except InputError as error:
@@ -303,6 +309,10 @@ RUNNERS: dict[type[Any], Callable[[Any], None]] = {
     InfoSettings: run_info,
 }
 """Function of each command, by its settings."""
+DRAWING = (RelightSettings, TuneSettings, TourSettings, ExportSettings)
+"""Settings of the commands that draw surfaces in their own process."""
+KERNELS = ("hyjax.geometry.raster_kernels", "hyjax.geometry.surface_kernel")
+"""Modules of compiled functions, in the order in which they are used."""
 
 
 def _keep_for_later() -> None:
@@ -314,6 +324,7 @@ def _keep_for_later() -> None:
 
     keep_compiled()
     gc.set_threshold(10_000)  # objects: tracing makes many
+    sys.setswitchinterval(SWITCH_SECONDS)
     warnings.filterwarnings("ignore", "JAXopt is no longer maintained")
 
 

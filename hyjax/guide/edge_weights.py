@@ -4,7 +4,7 @@ import functools
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from hyjax.configuration import LightOptions
@@ -20,7 +20,7 @@ def edge_weights() -> dict[str, Array]:
     """Weights for `hyjax.light.light_edges`, read once; `experiments.light_edges` writes the file."""
     arrays, _ = read_tensors(WEIGHTS_FILE)
     with jax.ensure_compile_time_eval():  # also where a function is being traced
-        return {name: jnp.asarray(array, jnp.float32) for name, array in arrays.items()}
+        return {name: jax.device_put(np.asarray(array, np.float32)) for name, array in arrays.items()}
 
 
 def configured_edges(options: LightOptions, light: SurfaceLight | None) -> Weights | None:

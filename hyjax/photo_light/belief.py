@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from hyjax.photo_light.fit import RADIANCE_FLOOR, FitProblem, fit_sources, illuminance
 
@@ -65,11 +65,14 @@ def folds(position: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "n"]:
 
 
 def fit_and_judge(
-    problem: Callable[[Int[np.ndarray, "m 2"]], FitProblem],
+    problem: Callable[[Bool[np.ndarray, "n"]], FitProblem],
     pairs: Int[np.ndarray, "n 2"],
     position: Float[np.ndarray, "v 3"],
 ) -> "tuple[Float[np.ndarray, 'k 3'], Belief, Float[np.ndarray, 'n e']] | None":
     """Strengths of the sources fitted to all pairs, and the belief from fits that leave one fold out each.
+
+    Args:
+        problem: fit to the chosen ones of the pairs.
 
     Returns:
         Strengths, belief, and for each pair the difference of log brightness that is left after the division by E
@@ -79,10 +82,9 @@ def fit_and_judge(
     counts = np.bincount(fold, minlength=FOLD_COUNT)
     if counts.min() < LEAST_PAIRS:
         return None
-    fewest = len(pairs) - counts.max()  # one size, one program
     bright, hue = np.zeros((2, len(pairs), len(EXPONENTS)))
     for number in range(FOLD_COUNT):
-        part = problem(pairs[fold != number][:fewest])
+        part = problem(fold != number)
         light = np.log(
             np.asarray(illuminance(part, jnp.asarray(fit_sources(part, FOLD_ITERATIONS), jnp.float32)))
             + RADIANCE_FLOOR
@@ -93,7 +95,7 @@ def fit_and_judge(
     block = blocks(position[pairs[:, 0]], ERROR_SIDE)
     found, error = flatness(bright, block)
     belief = Belief(best(found, error), best(*flatness(hue, block)), tuple(float(x) for x in found))
-    return fit_sources(problem(pairs)), belief, bright
+    return fit_sources(problem(np.ones(len(pairs), bool))), belief, bright
 
 
 def blocks(position: Float[np.ndarray, "n 3"], side: float) -> Int[np.ndarray, "n"]:

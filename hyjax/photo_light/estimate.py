@@ -1,7 +1,7 @@
 """Estimate of the photo's own light on a scan."""
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -88,6 +88,7 @@ def estimate_arrays(
     progress: bool = False,
     closed: bool = True,
     rays: Rays | None = None,
+    expect: Callable[[PhotoLight], None] | None = None,
 ) -> Arrays:
     """Estimate the photo's light from the frames and the scan alone, as arrays for `read_estimate`.
 
@@ -97,6 +98,7 @@ def estimate_arrays(
         sources: windows that the photo's light may have come through, and lamps that may have been lit.
         closed: whether the box round the scan stands for the walls that were not scanned.
         rays: of these windows and this box, where `trace_scan` cast them before.
+        expect: takes a light of the shapes that the estimate will have if it is believed, before the fit.
     """
     cameras: list[Camera] = []
 
@@ -109,6 +111,8 @@ def estimate_arrays(
     hits, position, normal = rays or trace_scan(caster, up, sources.windows, progress, closed)
     transport, count = _transport(caster, hits, position, normal), len(caster.arrays.vertices)
     basis = make_basis(caster, hits, position, normal, sources)
+    if expect is not None:
+        expect(_blank(transport, len(basis.names)))
     shown = _shown(vertex_radiance(caster, read()))
     sent = np.concatenate([shown.radiance, np.zeros((len(position) - count, 3))])
     gathered = np.asarray(gather(transport.hits, send(transport, jnp.asarray(sent, jnp.float32))))
@@ -153,8 +157,7 @@ def read_estimate(caster: RayCaster, arrays: Arrays) -> Estimate:
     illuminance, shares, mean, albedo = (jax.device_put(arrays[name]) for name in parts)
     names = tuple(str(name) for name in arrays["names"])
     flatness = tuple(float(x) for x in arrays["flatness"])
-    filled_share = max(FILLED_SHARE, _unscanned_share(transport)) if exponent else 1.0
-    light = PhotoLight(illuminance, shares, mean, albedo, used, filled_share)
+    light = PhotoLight(illuminance, shares, mean, albedo, used, _filled_share(transport) if exponent else 1.0)
     return Estimate(light, names, exponent, float(arrays["hue_exponent"]), flatness, transport)
 
 
@@ -223,8 +226,10 @@ def _fitted(
     gathered_here, light, radiance = (jnp.asarray(a, jnp.float32) for a in known)
     seen, alike = jnp.asarray(shown.visible), jnp.asarray(basis.neighbours, jnp.int32)
 
-    def problem(fitted: Int[np.ndarray, "m 2"]) -> FitProblem:
-        return FitProblem(gathered_here, light, radiance, seen, jnp.asarray(fitted, jnp.int32), alike)
+    chosen = jnp.asarray(pairs, jnp.int32)
+
+    def problem(fitted: Bool[np.ndarray, "n"]) -> FitProblem:
+        return FitProblem(gathered_here, light, radiance, seen, chosen, jax.device_put(fitted), alike)
 
     judged = fit_and_judge(problem, pairs, vertices)
     return nothing if judged is None else (*judged[:2], (pairs, judged[2]))
@@ -244,10 +249,21 @@ def _albedo(
     return np.concatenate([albedo, np.broadcast_to(unscanned, (len(light) - count, 3))]), unscanned
 
 
-def _unscanned_share(transport: Transport) -> float:
-    """Share of the scan's rays that end on the box round it, whose new light is unknown; in whole hundredths."""
+def _blank(transport: Transport, sources: int) -> PhotoLight:
+    """Light of nothing but its shapes."""
+    shapes = (transport.vertices, 3), (sources, transport.vertices, 3), (3,), transport.position.shape
+    light, shares, mean, albedo = (jax.device_put(np.zeros(shape, np.float32)) for shape in shapes)
+    return PhotoLight(light, shares, mean, albedo, transport, _filled_share(transport))
+
+
+def _filled_share(transport: Transport) -> float:
+    """Share of ambient light that bounces are filled up to: at least that of the scan's rays that end on the box.
+
+    The new light of the box is unknown. In whole hundredths.
+    """
     hits = np.asarray(transport.hits)[:, : transport.vertices]
-    return round(float(((hits >= len(transport.faces)) & (hits < transport.opening)).mean()), 2)
+    unscanned = ((hits >= len(transport.faces)) & (hits < transport.opening)).mean()
+    return max(FILLED_SHARE, round(float(unscanned), 2))
 
 
 def _transport(caster: RayCaster, hits: np.ndarray, position: np.ndarray, normal: np.ndarray) -> Transport:

@@ -50,6 +50,7 @@ class FitProblem:
         radiance: c times π, at least `RADIANCE_FLOOR`.
         seen: vertices that any frame shows.
         pairs: of vertices on one plane.
+        fitted: whether a pair takes part. A mask, so that fits to parts of the pairs share a program.
         neighbours: pairs of likely similar unknowns.
     """
 
@@ -58,6 +59,7 @@ class FitProblem:
     radiance: Float[Array, "v 3"]
     seen: Bool[Array, "v"]
     pairs: Int[Array, "n 2"]
+    fitted: Bool[Array, "n"]
     neighbours: Int[Array, "e 2"]
 
 
@@ -76,7 +78,7 @@ def loss(log_theta: Float[Array, "k 3"], problem: FitProblem) -> Float[Array, ""
     white = high_quantile(log_radiance - log_light, problem.seen, WHITE_QUANTILE)
     rough = _difference(log_theta, problem.neighbours)
     return (
-        _mean(jnp.sqrt(residual**2 + SMOOTH_L1**2))
+        _mean(jnp.sqrt(residual**2 + SMOOTH_L1**2), where=problem.fitted[:, None])
         + _mean(jnp.where(problem.seen[:, None], excess, 0.0) ** 2)
         + WHITENESS * _mean((white - math.log(WHITE_ALBEDO)) ** 2)
         + SMOOTHNESS * _mean(rough**2)
@@ -94,9 +96,11 @@ def high_quantile(values: Float[Array, "n c"], chosen: Bool[Array, "n"], quantil
     return high + (place - above) * (low - high)
 
 
-def _mean(values: Float[Array, "n c"] | Float[Array, "c"]) -> Float[Array, ""]:
+def _mean(
+    values: Float[Array, "n c"] | Float[Array, "c"], where: Bool[Array, "n 1"] | None = None
+) -> Float[Array, ""]:
     """Mean with a sum in double precision, where there is any."""
-    return jnp.mean(values, dtype=float)
+    return jnp.mean(values, dtype=float, where=where)
 
 
 def _difference(values: Float[Array, "n c"], pairs: Int[Array, "m 2"]) -> Float[Array, "m c"]:

@@ -17,7 +17,7 @@ from hyjax.guide.choose import FrameGuide
 from hyjax.guide.edge_weights import edge_weights
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
-from hyjax.light.photo_light import SurfaceLight, direct_channels
+from hyjax.light.photo_light import SurfaceLight, bounced_light, direct_channels
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import shade_each
@@ -145,3 +145,6 @@ def compile_ahead(
             if configuration.light.edges and lit.shaded.photo_light is not None:  # even here, but not in the scene
                 lit = dataclasses.replace(lit, light_edges=edge_weights())
             jax.block_until_ready(refined_picture(lit, configuration))
+        if (expected := scene.photo_light.expected) is not None:
+            maps = scene.shadow_maps(setup, occluders=settings.occluders) if settings.shadows else None
+            make_ready(bounced_light, expected, setup.lights, maps)

@@ -20,7 +20,7 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_linear
 from hyjax.light.emission import Emitters, radiant_filter
 from hyjax.light.panes import open_shares
-from hyjax.light.photo_light import SurfaceLight, bounced_light
+from hyjax.light.photo_light import PhotoLight, SurfaceLight, bounced_light
 from hyjax.light.setup import LightSetup, same_setup
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.photo_light.estimate import Estimate, estimate_arrays, read_estimate, trace_scan
@@ -38,7 +38,7 @@ FRAME_WIDTH = 800
 """Largest longer side of these frames, in pixels."""
 PANE_FRAMES, PANE_WIDTH = 12, 320
 """Number of frames for the means of panes, and their longer side in pixels."""
-VERSION = 20
+VERSION = 21
 """Version of sources and estimate. Add one when either changes."""
 _log = logging.getLogger(__name__)
 _Stored = tuple[Estimate, Float[np.ndarray, "n 3"]]
@@ -46,6 +46,8 @@ _Stored = tuple[Estimate, Float[np.ndarray, "n 3"]]
 
 class ScenePhotoLight:
     """Photo's own light of a scene's frames, computed on demand.
+
+    `expected` is a light of the shapes of the estimate, once they are known while it is made.
 
     Args:
         size: (height, width) that it reads them at; None as captured.
@@ -66,7 +68,8 @@ class ScenePhotoLight:
         self._size, self._sources_file, self._progress = size, sources_file, progress
         self._last: tuple[LightSetup, Sequence[ShadowMap | None] | None, SurfaceLight] | None = None
         self._begun: Future[_Stored] | None = None
-        self._lock = threading.Lock()
+        self.expected: PhotoLight | None = None
+        self._lock, self._reading = threading.Lock(), threading.Lock()
         self._sources: PhotoSources | None = None
 
     @property
@@ -206,8 +209,16 @@ class ScenePhotoLight:
             known = hinted_windows(self._capture.anchors, up) if self._sources_file is None else ()
             rays = trace_scan(caster, up, known, self._progress) if known else None
             sources = self.sources
-            arrays = estimate_arrays(caster, self._frames, up, sources, self._progress, rays=rays)
-            return {**arrays, "pane_means": self._pane_means(sources)}
+
+            def expect(light: PhotoLight) -> None:
+                self.expected = light
+
+            with ThreadPoolExecutor(1, thread_name_prefix="pane-means") as pool:
+                means = pool.submit(self._pane_means, sources)
+                arrays = estimate_arrays(
+                    caster, self._frames, up, sources, self._progress, rays=rays, expect=expect
+                )
+                return {**arrays, "pane_means": means.result()}
 
         return cached_arrays(self._file, lambda arrays: (read_estimate(caster, arrays), arrays["pane_means"]), made)
 
@@ -228,9 +239,14 @@ class ScenePhotoLight:
         seen = weight > 1.0
         return np.where(seen[:, None], total / weight[:, None], 1.0).astype(np.float32)
 
-    @functools.cached_property
+    @property
     def _frames(self) -> list[Frame]:
         """Frames spread over the capture, no larger than needed."""
+        with self._reading:  # asked for by several threads
+            return self._read_frames
+
+    @functools.cached_property
+    def _read_frames(self) -> list[Frame]:
         frames = []
         for index in spread(range(len(self._capture)), FRAME_COUNT):
             try:

@@ -1,18 +1,33 @@
 """Functions compiled to machine code by Numba, kept among the files that can be computed again."""
 
+import atexit
+import importlib.util
 import logging
-from collections.abc import Callable
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numba as typed_numba
-
 from hyjax.util.cache import cache_folder
+from hyjax.util.errors import InputError
+from hyjax.util.files import make_writable
 
-numba: Any = typed_numba  # whose types do not know its settings
+IMPORTS = (
+    "import importlib, os, sys; sys.path[:] = sys.argv[1].split(os.pathsep)\n"
+    "for name in sys.argv[2:]: importlib.import_module(name); print(name, flush=True)"
+)
+"""Program that imports modules, whose functions are compiled and kept by that, and names each when it is done."""
 _log = logging.getLogger(__name__)
 _told: set[Path] = set()
 """Folders that could not be used, reported once each."""
+_beside: "list[subprocess.Popen[str]]" = []
+"""Process that compiles for this one, while it runs."""
+_done: set[str] = set()
+"""Modules that it is done with."""
+_lock = threading.Lock()
 
 
 def compiled(*signature: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -26,7 +41,11 @@ def compiled(*signature: str) -> Callable[[Callable[..., Any]], Callable[..., An
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        folder, config = cache_folder() / "numba", numba.config
+        _wait_for(function.__module__)
+        import numba as typed_numba
+
+        numba: Any = typed_numba  # whose types do not know its settings
+        folder, config = _folder(), numba.config
         options: Any = {"nogil": True, "error_model": "numpy"}
         before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
         try:
@@ -42,3 +61,45 @@ def compiled(*signature: str) -> Callable[[Callable[..., Any]], Callable[..., An
             config.CACHE_DIR = before
 
     return decorate
+
+
+def compile_beside(modules: Sequence[str]) -> None:
+    """Begin to compile the functions of modules in a process of its own, unless all are kept.
+
+    Numba leaves other threads of its process little time: beside it this one can load and read. Whoever imports one
+    of the modules waits for that process, and compiles what it could not.
+    """
+    try:
+        if all(map(_is_kept, modules)):
+            return
+        make_writable(_folder())
+        command = [sys.executable, "-c", IMPORTS, os.pathsep.join(sys.path), *modules]
+        streams: Any = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+        process = subprocess.Popen(command, text=True, **streams)
+    except (InputError, OSError):
+        return
+    atexit.register(process.kill)
+    _beside.append(process)
+
+
+def _is_kept(module: str) -> bool:
+    """Whether machine code is kept that is newer than a module's source: Numba looks more closely."""
+    spec = importlib.util.find_spec(module)
+    source = Path(spec.origin if spec and spec.origin else "")
+    python = "".join(map(str, sys.version_info[:2]))
+    files = _folder().glob(f"{source.parent.name}_*/{source.stem}.*py{python}*.nbi")
+    return any(file.stat().st_mtime > source.stat().st_mtime for file in files)
+
+
+def _wait_for(module: str) -> None:
+    with _lock:
+        while _beside and module not in _done:
+            output = _beside[0].stdout
+            if name := output.readline() if output else "":
+                _done.add(name.strip())
+            else:
+                _beside.pop().wait()
+
+
+def _folder() -> Path:
+    return cache_folder() / "numba"

@@ -77,7 +77,9 @@ class Lit:
         floats = (self.basis.light[: self.count], radiance)
         basis, c = (jnp.asarray(a, jnp.float32) for a in floats)
         alike, chosen = (jnp.asarray(a, jnp.int32) for a in (self.basis.neighbours, pairs))
-        return FitProblem(gathered[: self.count], basis, c, jnp.asarray(seen), chosen, alike)
+        return FitProblem(
+            gathered[: self.count], basis, c, jnp.asarray(seen), chosen, jnp.ones(len(pairs), bool), alike
+        )
 
 
 @pytest.fixture(scope="module")
