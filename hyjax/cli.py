@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import gc
 import io
+import os
 import sys
 import warnings
 from collections.abc import Callable
@@ -116,6 +117,9 @@ def main() -> None:
     """Entry point of the `hyjax` command. Bad input: one line on stderr and exit status 2."""
     open_closed_streams()
     quiet_libraries()
+    os.environ.setdefault(
+        "OPENBLAS_NUM_THREADS", "1"
+    )  # products are small; its threads spin on cores that are needed
     try:
         if sys.argv[1:] == ["--version"]:
             print(f"hyjax {hyjax.__version__}", flush=True)

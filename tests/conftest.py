@@ -1,10 +1,13 @@
 """Shared by all tests: strictness settings, data and weights from outside."""
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # there is a worker for each core; before NumPy is loaded
+
 import contextlib
 import ctypes
 import functools
 import gc
-import os
 import sys
 import tempfile
 from collections.abc import Iterator

@@ -157,7 +157,7 @@ def read_estimate(caster: RayCaster, arrays: Arrays) -> Estimate:
     illuminance, shares, mean, albedo = (jax.device_put(arrays[name]) for name in parts)
     names = tuple(str(name) for name in arrays["names"])
     flatness = tuple(float(x) for x in arrays["flatness"])
-    light = PhotoLight(illuminance, shares, mean, albedo, used, _filled_share(transport) if exponent else 1.0)
+    light = PhotoLight(illuminance, shares, mean, albedo, used, filled_share(transport) if exponent else 1.0)
     return Estimate(light, names, exponent, float(arrays["hue_exponent"]), flatness, transport)
 
 
@@ -253,10 +253,10 @@ def _blank(transport: Transport, sources: int) -> PhotoLight:
     """Light of nothing but its shapes."""
     shapes = (transport.vertices, 3), (sources, transport.vertices, 3), (3,), transport.position.shape
     light, shares, mean, albedo = (jax.device_put(np.zeros(shape, np.float32)) for shape in shapes)
-    return PhotoLight(light, shares, mean, albedo, transport, _filled_share(transport))
+    return PhotoLight(light, shares, mean, albedo, transport, filled_share(transport))
 
 
-def _filled_share(transport: Transport) -> float:
+def filled_share(transport: Transport) -> float:
     """Share of ambient light that bounces are filled up to: at least that of the scan's rays that end on the box.
 
     The new light of the box is unknown. In whole hundredths.

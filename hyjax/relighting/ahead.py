@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,7 +11,6 @@ import numpy as np
 
 from hyjax.configuration import Configuration
 from hyjax.core.pyramid import level_shape
-from hyjax.data.light_file import is_light_file
 from hyjax.guide.choose import FrameGuide
 from hyjax.guide.edge_weights import edge_weights
 from hyjax.light.gbuffer import GBuffer
@@ -60,13 +58,6 @@ def is_short(configuration: Configuration) -> bool:
     """Whether the cascades take so few steps that their programs may do without optimisation at first."""
     both = configuration.schedule, configuration.shadow_schedule
     return sum(level.steps / level.factor**2 for cascade in both for level in cascade.levels) <= MOST_QUICK_STEPS
-
-
-def knows_lights(scene: Scene, lights: Any, settings: RelightSettings) -> bool:
-    """Whether lights, given as to `Scene.lights`, have their places without an estimate of the photo's light."""
-    if not isinstance(lights, str | Path) or is_light_file(str(lights)):
-        return True
-    return bool(scene.capture.anchors) and settings.scene.photo_sources is None
 
 
 def begin_programs(
@@ -145,6 +136,6 @@ def compile_ahead(
             if configuration.light.edges and lit.shaded.photo_light is not None:  # even here, but not in the scene
                 lit = dataclasses.replace(lit, light_edges=edge_weights())
             jax.block_until_ready(refined_picture(lit, configuration))
-        if (expected := scene.photo_light.expected) is not None:
+        if (expected := scene.photo_light.expected()) is not None:
             maps = scene.shadow_maps(setup, occluders=settings.occluders) if settings.shadows else None
             make_ready(bounced_light, expected, setup.lights, maps)

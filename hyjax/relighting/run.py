@@ -22,7 +22,7 @@ from hyjax.guide.choose import FrameGuide, configured_guide
 from hyjax.light.kinds import Light, kind_name
 from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import dark_share
-from hyjax.relighting.ahead import begin_programs, compile_ahead, is_short, knows_lights
+from hyjax.relighting.ahead import begin_programs, compile_ahead, is_short
 from hyjax.relighting.frames import RelitFrame, cycles, relit_frames, relit_on_device
 from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
 from hyjax.relighting.settings import RelightSettings
@@ -145,9 +145,9 @@ def relight_run(
         asked = settings.lights if lights is None else lights
         # The estimate of the photo's light runs on another thread. It may yet say how strong the lights are.
         begun = divides and settings.renderer == "shadow_map" and scene.photo_light.begin()
-        ahead = begun and knows_lights(scene, asked, settings)
-        if ahead:
-            compile_ahead(scene, chosen, scene.lights(asked), settings, configuration, guide, clock)
+        if begun:
+            placed = scene.lights(asked, at_photo_sources=True, exposed=False)
+            compile_ahead(scene, chosen, placed, settings, configuration, guide, clock)
         setup = scene.lights(asked, at_photo_sources=divides)
         setup.check_existing(divided=divides)
         if setup.existing:
@@ -163,9 +163,7 @@ def relight_run(
         if settings.renderer == "webgpu":
             frames = relit_on_device(scene, chosen, setup, settings, configuration, guide, clock, device)
         else:
-            if begun and not ahead and scene.photo_light.pending:
-                compile_ahead(scene, chosen, setup, settings, configuration, guide, clock)
-            elif settings.renderer == "shadow_map" and not ahead:
+            if settings.renderer == "shadow_map" and not begun:
                 begin_programs(scene, chosen, setup, configuration, guide, video=settings.video)
             relighter = Relighter(
                 scene,

@@ -132,6 +132,19 @@ def named_setup(name: str, anchors: LightAnchors, photo: PhotoLight | None = Non
         if photo is not None:
             setup = bounded(setup, lux, anchors.seen, measured_response(setup.lights, anchors.seen, photo))
     warn_of_missing(setup, lux, name)
+    return _on_device(setup)
+
+
+def placed_setup(name: str, anchors: LightAnchors) -> LightSetup:
+    """One of `SETUPS` in a room, not exposed for it: lights of the places that `named_setup` gives them."""
+    check_setup_name(name)
+    setup = SETUPS[name](anchors)
+    if name not in EXPOSURES:
+        setup, _ = _not_dark(setup, anchors.seen.lux(setup.lights), anchors)
+    return _on_device(setup)
+
+
+def _on_device(setup: LightSetup) -> LightSetup:
     # Converted by NumPy: every conversion of JAX's is a program of its own.
     lights = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), setup.lights))
     return LightSetup(lights, setup.reference_lux)

@@ -28,8 +28,10 @@ from hyjax.photo_light.hints import hinted_windows
 from hyjax.photo_light.source_arrays import sources_from_arrays, sources_to_arrays
 from hyjax.photo_light.sources import PhotoSources
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
+from hyjax.util.cores import cores
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.files import digest
+from hyjax.util.prefetch import prefetch
 from hyjax.util.programs import run_kept
 
 FRAME_COUNT = 24
@@ -46,8 +48,6 @@ _Stored = tuple[Estimate, Float[np.ndarray, "n 3"]]
 
 class ScenePhotoLight:
     """Photo's own light of a scene's frames, computed on demand.
-
-    `expected` is a light of the shapes of the estimate, once they are known while it is made.
 
     Args:
         size: (height, width) that it reads them at; None as captured.
@@ -68,7 +68,7 @@ class ScenePhotoLight:
         self._size, self._sources_file, self._progress = size, sources_file, progress
         self._last: tuple[LightSetup, Sequence[ShadowMap | None] | None, SurfaceLight] | None = None
         self._begun: Future[_Stored] | None = None
-        self.expected: PhotoLight | None = None
+        self._expected: Future[PhotoLight | None] = Future()
         self._lock, self._reading = threading.Lock(), threading.Lock()
         self._sources: PhotoSources | None = None
 
@@ -98,13 +98,17 @@ class ScenePhotoLight:
             return False
         pool = ThreadPoolExecutor(1, thread_name_prefix="photo-light")
         self._begun = pool.submit(self._read_or_made)
+        self._begun.add_done_callback(lambda _: self._expect(None))  # of an estimate that failed early
         pool.shutdown(wait=False)
         return True
 
-    @property
-    def pending(self) -> bool:
-        """Whether the estimate was begun and is not finished."""
-        return self._begun is not None and not self._begun.done()
+    def expected(self) -> PhotoLight | None:
+        """Light of the shapes of an estimate that was begun, waited for until they are known; None for none."""
+        return None if self._begun is None else self._expected.result()
+
+    def _expect(self, light: PhotoLight | None) -> None:
+        if not self._expected.done():
+            self._expected.set_result(light)
 
     @functools.cached_property
     def estimate(self) -> Estimate:
@@ -210,13 +214,10 @@ class ScenePhotoLight:
             rays = trace_scan(caster, up, known, self._progress) if known else None
             sources = self.sources
 
-            def expect(light: PhotoLight) -> None:
-                self.expected = light
-
             with ThreadPoolExecutor(1, thread_name_prefix="pane-means") as pool:
                 means = pool.submit(self._pane_means, sources)
                 arrays = estimate_arrays(
-                    caster, self._frames, up, sources, self._progress, rays=rays, expect=expect
+                    caster, self._frames, up, sources, self._progress, rays=rays, expect=self._expect
                 )
                 return {**arrays, "pane_means": means.result()}
 
@@ -247,13 +248,16 @@ class ScenePhotoLight:
 
     @functools.cached_property
     def _read_frames(self) -> list[Frame]:
-        frames = []
-        for index in spread(range(len(self._capture)), FRAME_COUNT):
+        def read(index: int) -> Frame | None:
             try:
-                frames.append(shrink(self._frame(index), FRAME_WIDTH))
+                return shrink(self._frame(index), FRAME_WIDTH)
             except InputError as error:  # told in full when it is its turn to be relit
                 _log.info("the photo's light is estimated without frame %d: %s", index, error)
-        return frames or [self._frame(0)]
+                return None
+
+        indices = spread(range(len(self._capture)), FRAME_COUNT)
+        frames = prefetch(read, indices, depth=cores(), threads=cores())
+        return [frame for frame in frames if frame is not None] or [self._frame(0)]
 
 
 def _content(file: Path | None) -> str:

@@ -27,7 +27,7 @@ from hyjax.light.view import View
 from hyjax.scene.fusion_settings import FUSED
 from hyjax.scene.kept_maps import KeptMaps, Maps
 from hyjax.scene.light_places import LightAnchors, survey_capture
-from hyjax.scene.light_setups import check_setup_name, named_setup
+from hyjax.scene.light_setups import check_setup_name, named_setup, placed_setup
 from hyjax.scene.occluders import SURFACE_ERROR, completed, fine_detail
 from hyjax.scene.photo_light import ScenePhotoLight
 from hyjax.scene.place import view_of
@@ -205,14 +205,13 @@ class Scene:
         return view_of(frame, self.gbuffer(frame.camera))
 
     @checked_arguments
-    def lights(self, lights: AnyLights, *, at_photo_sources: bool = False) -> LightSetup:
+    def lights(self, lights: AnyLights, *, at_photo_sources: bool = False, exposed: bool = True) -> LightSetup:
         """Light set-up by name, placed in this room, or from a YAML or JSON file; a set-up or lights as they are.
 
         Args:
-            lights: any of these.
-            at_photo_sources: whether a named set-up is exposed for frames that are divided by their own light, and
-                shines through the windows and from the lamps that lit them, where a file names these or the capture
-                knows none.
+            at_photo_sources: whether a named set-up is exposed for frames divided by their own light, and shines
+                through the windows and from the lamps that lit them, where a file names them or the capture none.
+            exposed: whether a named set-up is exposed; else its lights have their places, not their strengths.
 
         Raises:
             InputError: no such set-up, or the file cannot be used.
@@ -225,8 +224,10 @@ class Scene:
         check_setup_name(name)
         found = at_photo_sources and (self._sources_file is not None or not self.capture.anchors)
         if found not in self._anchors:
-            anchors = self.photo_light.sources.anchors if found else None
-            self._anchors[found] = survey_capture(self.caster, self.capture, anchors)
+            known = self.photo_light.sources.anchors if found else None
+            self._anchors[found] = survey_capture(self.caster, self.capture, known)
+        if not exposed:
+            return placed_setup(name, self._anchors[found])
         photo = self.photo_light.estimate.light if at_photo_sources else None
         return named_setup(name, self._anchors[found], photo)
 

@@ -17,7 +17,7 @@ from hyjax.metrics.dark_share import dark_share
 from hyjax.scene.exposure import bounded, exposed, warn_of_missing
 from hyjax.scene.light_places import LightAnchors, survey
 from hyjax.scene.light_response import Response, kinds_of, paleness
-from hyjax.scene.light_setups import EXPOSURES, SETUPS, named_setup
+from hyjax.scene.light_setups import EXPOSURES, SETUPS, named_setup, placed_setup
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.util.errors import InputError
@@ -97,6 +97,19 @@ def test_lights_hang_in_free_space(name: str, where: str, stages: dict[str, tupl
         # Light starts on the bulb's ball; a window has its wall beside it, a lamp its stem and shade.
         free = caster.cast(place + radius * directions, directions).distance
         assert np.quantile(free, 0.05) > 0.005 and np.median(free) > 0.1
+
+
+@pytest.mark.parametrize("where", ["anchors", "no anchors", "one camera"])
+@pytest.mark.parametrize("name", SETUPS)
+def test_places_are_known_before_the_exposure(name: str, where: str, stages: dict[str, tuple]) -> None:
+    """Programs and shadow maps that are made meanwhile are those of the exposed lights."""
+    stage = stages[where][0]
+    placed, setup = placed_setup(name, stage).lights, named_setup(name, stage).lights
+    (leaves, tree), (others, other) = map(jax.tree.flatten, (placed, setup))
+    assert tree == other
+    assert [(x.shape, x.dtype) for x in leaves] == [(x.shape, x.dtype) for x in others]
+    without = [[dataclasses.replace(x, **{x.STRENGTH: 0.0}) for x in lights] for lights in (placed, setup)]
+    jax.tree.map(np.testing.assert_array_equal, *without)
 
 
 @pytest.mark.parametrize("name", SETUPS)

@@ -1,8 +1,10 @@
 """Photo's light of a scene: kept with its sources, so that the next start reads no frame for it."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,9 +15,11 @@ from hyjax.configuration import Configuration, LightOptions
 from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.light.photo_light import SurfaceLight
+from hyjax.photo_light.estimate import filled_share
 from hyjax.photo_light.source_arrays import sources_from_arrays, sources_to_arrays
 from hyjax.photo_light.sources import PhotoLamp, PhotoSources, PhotoWindow
 from hyjax.scene.relighter import Relighter
+from hyjax.util.errors import InputError
 
 UP = np.array([0.0, 0.0, 1.0])
 LENS = Intrinsics(16, 12, 10.0, 10.0, 8.0, 6.0)
@@ -165,3 +169,29 @@ def test_sources_come_back_from_their_arrays() -> None:
     assert back.origin == "found" and repr(back) == repr(PhotoSources((window,), lamps, "found"))
     none = sources_from_arrays(sources_to_arrays(PhotoSources((), (), "none")))
     assert none == PhotoSources((), (), "none")
+
+
+def test_its_shapes_are_known_before_the_fit(named: Path) -> None:
+    """Programs that are compiled while it is fitted are those that are run."""
+    scene = Scene(Room(), walls(), photo_sources=named)
+    assert scene.photo_light.expected() is None, "none was begun"
+    assert scene.photo_light.begin()
+    expected = scene.photo_light.expected()
+    assert expected is not None
+    estimate = scene.photo_light.estimate
+    believed = dataclasses.replace(
+        estimate.light, transport=estimate.transport, filled_share=filled_share(estimate.transport)
+    )
+    assert jax.tree.structure(expected) == jax.tree.structure(believed)
+    assert [(x.shape, x.dtype) for x in jax.tree.leaves(expected)] == [
+        (x.shape, x.dtype) for x in jax.tree.leaves(believed)
+    ]
+
+
+def test_an_estimate_that_fails_is_waited_for_no_longer(tmp_path: Path) -> None:
+    file = tmp_path / "windows.yaml"
+    file.write_text("windows: 3")
+    scene = Scene(Room(), walls(), photo_sources=file)
+    assert scene.photo_light.begin() and scene.photo_light.expected() is None
+    with pytest.raises(InputError, match="windows"):
+        _ = scene.photo_light.estimate
