@@ -46,11 +46,11 @@ def compiled(*signature: str) -> Callable[[Callable[..., Any]], Callable[..., An
 
         numba: Any = typed_numba  # whose types do not know its settings
         folder, config = _folder(), numba.config
-        options: Any = {"nogil": True, "error_model": "numpy"}
+        options: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
         before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
         try:
             if not signature:
-                return numba.njit(**options)(function)
+                return numba.njit(no_cpython_wrapper=True, **options)(function)
             return numba.njit(*signature, cache=True, **options)(function)
         except Exception as error:  # A damaged file shows itself in a dozen ways, a folder that is full in others.
             if folder not in _told:
