@@ -1,7 +1,6 @@
 """Time limit and progress bar of a tuning run."""
 
 import contextlib
-import math
 from collections.abc import Iterator
 
 from tqdm import tqdm
@@ -17,7 +16,7 @@ class RunMonitor:
 
     def __init__(self, limit: float | None, progress: bool) -> None:
         self.clock, self.limit, self.progress = Stopwatch(), limit, progress
-        self.best, self.bar = math.inf, tqdm(disable=True)
+        self.bar = tqdm(disable=True)
 
     def begin(self) -> None:
         """Count the time from now; else it counts from the monitor's making."""
@@ -41,7 +40,6 @@ class RunMonitor:
 
     def enter(self, phase: str) -> None:
         """Say what is done now."""
-        self.best = math.inf
         self.bar.set_description_str(f"tuning: {phase}")
 
     def say(self, words: str) -> None:
@@ -54,8 +52,8 @@ class RunMonitor:
             self.bar.total = max(self.bar.total, self.bar.n + 1)
         self.bar.update()
 
-    def note(self, phase: str, loss: float) -> None:
-        """Called after each trial with its loss over the default's."""
-        self.best = min(self.best, loss)
-        self.bar.set_postfix_str(f"{phase}, best loss {self.best:.4f} of the default's", refresh=False)
+    def note(self, phase: str, best: float | None) -> None:
+        """Called after each trial with the loss of the best so far over the default's; None where none fits."""
+        found = "none within the budget yet" if best is None else f"best loss {best:.4f} of the default's"
+        self.bar.set_postfix_str(f"{phase}, {found}", refresh=False)
         self.done()

@@ -27,7 +27,7 @@ from hyjax.tuning.space import Choices, Space
 from hyjax.tuning.stage import Stage
 from hyjax.tuning.study import Study, check_free, check_installed
 from hyjax.tuning.trial import Trial
-from hyjax.tuning.unfinished import best_or_fastest, unfinished
+from hyjax.tuning.unfinished import best_known, best_or_fastest, unfinished
 from hyjax.util.claims import claimed
 from hyjax.util.clock import Stopwatch
 from hyjax.util.environment import cores, environment, peak_memory_mib
@@ -178,7 +178,7 @@ class Run:
         self.monitor.enter(f"searching, {study.name}" if space.paper else "searching")
         for trial in study.trials:
             state = update(state, known := evaluator.known(trial))
-            self.monitor.note(trial.phase, trial.loss)
+            self._note(state, trial.phase, limits[0])
             if trial.time is None:
                 study.add(space, known)
         if keep:
@@ -196,7 +196,7 @@ class Run:
     ) -> State:
         def report(state: State, trial: Trial) -> None:
             study.add(state.space, trial)
-            self.monitor.note(trial.phase, trial.loss)
+            self._note(state, trial.phase, limits[0])
             if keep:
                 self._keep(state, limits[0])
 
@@ -206,6 +206,10 @@ class Run:
             return evaluator(trial)
 
         return search(state, judged, limits, report=report, expired=self.monitor.expired)
+
+    def _note(self, state: State, phase: str, limit: float) -> None:
+        best = best_known(state, limit)
+        self.monitor.note(phase, None if best is None else best.loss)
 
     def _check_reachable(self, space: Space, limits: Sequence[float]) -> None:
         """Raise `InputError`, once the first candidates are there, if a budget is out of reach."""

@@ -1,5 +1,6 @@
 """Unfinished search as a result: candidates with what their trials tell, before they are proven."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,15 +11,19 @@ from hyjax.tuning.proof import effects
 from hyjax.tuning.report_text import UNFINISHED
 from hyjax.tuning.request import Budget
 from hyjax.tuning.result import Candidate, Tuned
-from hyjax.tuning.search import State
+from hyjax.tuning.search import State, within
 from hyjax.tuning.space import key_of
 from hyjax.tuning.trial import Trial, front_of_trials
 
 
+def best_known(state: State, limit: float) -> Trial | None:
+    """The best trial within a limit of those on the most cases: few cases flatter. None if none is within it."""
+    return state.best(limit, cases=max((len(trial.losses) for trial in within(state, limit)), default=0))
+
+
 def best_or_fastest(state: State, limit: float) -> Trial | None:
-    """The best trial within a limit, or else the fastest; None if none was timed."""
-    timed = [trial for trial in state.trials.values() if trial.time is not None and trial.losses]
-    return state.best(limit) or min(timed, key=lambda t: t.time or 0.0, default=None)
+    """The best trial within a limit, see `best_known`, or else the fastest; None if none was timed."""
+    return best_known(state, limit) or min(within(state, math.inf), key=lambda t: t.time or 0.0, default=None)
 
 
 def unfinished(

@@ -22,7 +22,7 @@ from hyjax.tuning.search import State, init, propose, update
 from hyjax.tuning.settings import FrameOptions, TuneSettings
 from hyjax.tuning.space import Space
 from hyjax.tuning.trial import Trial
-from hyjax.tuning.unfinished import best_or_fastest, unfinished
+from hyjax.tuning.unfinished import best_known, best_or_fastest, unfinished
 from hyjax.util.errors import InputError
 
 need("tune")
@@ -48,6 +48,15 @@ def test_the_best_within_the_budget_or_the_fastest() -> None:
     assert best_or_fastest(searched(), 0.75) == trials()[1]
     assert best_or_fastest(searched(), 0.05) == trials()[2], "none fits"
     assert best_or_fastest(init(SPACE, [2, 4], 20), 0.05) is None
+
+
+def test_few_cases_flatter() -> None:
+    """A trial that the first case likes best is not the best of those that went through more."""
+    lucky = Trial(SPACE.complete({"scale": 3}), "screening", (0.8,), 0.4)
+    state = update(searched(), lucky)
+    assert best_known(state, 0.75) == best_or_fastest(state, 0.75) == trials()[1]
+    assert best_known(state, 0.45) == trials()[2] and best_known(state, 0.05) is None
+    assert best_known(update(init(SPACE, [1, 2], 20), lucky), 0.75) == lucky, "where none has"
 
 
 def test_a_report_of_it_says_that_it_is_unfinished() -> None:
