@@ -33,7 +33,7 @@ WITH_CAPTURE = ("relight", "tune", "tour")
 """Commands that take a capture as an option."""
 RENAMED_VALUES = {("--renderer", "hyjax"): "shadow_map"}
 SWITCH_SECONDS = 5e-4
-"""Seconds after which a thread that runs Python lets others: those that mostly compute outside wait less for it."""
+"""Seconds after which a thread that runs Python makes way: those that mostly compute outside wait less for it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,9 +117,8 @@ def main() -> None:
     """Entry point of the `hyjax` command. Bad input: one line on stderr and exit status 2."""
     open_closed_streams()
     quiet_libraries()
-    os.environ.setdefault(
-        "OPENBLAS_NUM_THREADS", "1"
-    )  # products are small; its threads spin on cores that are needed
+    # Products of matrices are small here, and their threads would spin on cores that are in use.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         if sys.argv[1:] == ["--version"]:
             print(f"hyjax {hyjax.__version__}", flush=True)

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -98,7 +99,7 @@ def estimate_arrays(
         sources: windows that the photo's light may have come through, and lamps that may have been lit.
         closed: whether the box round the scan stands for the walls that were not scanned.
         rays: of these windows and this box, where `trace_scan` cast them before.
-        expect: takes a light of the shapes that the estimate will have if it is believed, before the fit.
+        expect: takes the shapes of the light that will come of it if it is believed, before the fit.
     """
     cameras: list[Camera] = []
 
@@ -112,7 +113,7 @@ def estimate_arrays(
     transport, count = _transport(caster, hits, position, normal), len(caster.arrays.vertices)
     basis = make_basis(caster, hits, position, normal, sources)
     if expect is not None:
-        expect(_blank(transport, len(basis.names)))
+        expect(_shapes(transport, len(basis.names)))
     shown = _shown(vertex_radiance(caster, read()))
     sent = np.concatenate([shown.radiance, np.zeros((len(position) - count, 3))])
     gathered = np.asarray(gather(transport.hits, send(transport, jnp.asarray(sent, jnp.float32))))
@@ -249,11 +250,12 @@ def _albedo(
     return np.concatenate([albedo, np.broadcast_to(unscanned, (len(light) - count, 3))]), unscanned
 
 
-def _blank(transport: Transport, sources: int) -> PhotoLight:
-    """Light of nothing but its shapes."""
+def _shapes(transport: Transport, sources: int) -> PhotoLight:
+    """Shapes of a light in the place of its arrays."""
     shapes = (transport.vertices, 3), (sources, transport.vertices, 3), (3,), transport.position.shape
-    light, shares, mean, albedo = (jax.device_put(np.zeros(shape, np.float32)) for shape in shapes)
-    return PhotoLight(light, shares, mean, albedo, transport, filled_share(transport))
+    light, shares, mean, albedo = (cast(Any, jax.ShapeDtypeStruct(shape, np.float32)) for shape in shapes)
+    paths = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), transport)
+    return PhotoLight(light, shares, mean, albedo, paths, filled_share(transport))
 
 
 def filled_share(transport: Transport) -> float:

@@ -32,7 +32,6 @@ from hyjax.geometry.tsdf import fuse
 from hyjax.scene.fusion import FusionPlan, Readings, plan_fusion
 from hyjax.scene.fusion_settings import MAX_FUSED_FRAMES, FusionSettings
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
-from hyjax.util.cores import cores
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest
 from hyjax.util.prefetch import prefetch
@@ -158,20 +157,23 @@ def smoothed(
 def posed_pictures(capture: Capture) -> dict[int, PosedPicture]:
     """Pictures spread over a capture that have a depth map of their moment, by their positions."""
 
-    def read(index: int) -> PosedPicture | None:
+    def read(index: int) -> tuple[int, Frame, DepthReading] | None:
         position = capture.depth_position(index)
         if position != int(position):
             return None
         try:
-            reading, picture = capture.depth_reading(int(position)), shrink(capture[index], PICTURE_WIDTH)
+            return index, capture[index], capture.depth_reading(int(position))
         except InputError as error:
             _log.info("poses are judged without frame %d: %s", index, error)
             return None
-        return PosedPicture(fine_structure(picture.image), picture.camera, reading)
 
-    indices = spread(range(len(capture)), MOST_PICTURES)
-    pictures = prefetch(read, indices, depth=cores(), threads=cores())
-    return {index: picture for index, picture in zip(indices, pictures, strict=True) if picture is not None}
+    found = {}
+    for known in prefetch(read, spread(range(len(capture)), MOST_PICTURES), depth=1):
+        if known is not None:
+            index, frame, reading = known
+            picture = shrink(frame, PICTURE_WIDTH)
+            found[index] = PosedPicture(fine_structure(picture.image), picture.camera, reading)
+    return found
 
 
 def agreements(

@@ -28,7 +28,6 @@ from hyjax.photo_light.hints import hinted_windows
 from hyjax.photo_light.source_arrays import sources_from_arrays, sources_to_arrays
 from hyjax.photo_light.sources import PhotoSources
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
-from hyjax.util.cores import cores
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.files import digest
 from hyjax.util.prefetch import prefetch
@@ -103,7 +102,7 @@ class ScenePhotoLight:
         return True
 
     def expected(self) -> PhotoLight | None:
-        """Light of the shapes of an estimate that was begun, waited for until they are known; None for none."""
+        """Shapes of the light of an estimate that was begun, waited for until they are known; None for none."""
         return None if self._begun is None else self._expected.result()
 
     def _expect(self, light: PhotoLight | None) -> None:
@@ -250,14 +249,14 @@ class ScenePhotoLight:
     def _read_frames(self) -> list[Frame]:
         def read(index: int) -> Frame | None:
             try:
-                return shrink(self._frame(index), FRAME_WIDTH)
+                return self._frame(index)
             except InputError as error:  # told in full when it is its turn to be relit
                 _log.info("the photo's light is estimated without frame %d: %s", index, error)
                 return None
 
-        indices = spread(range(len(self._capture)), FRAME_COUNT)
-        frames = prefetch(read, indices, depth=cores(), threads=cores())
-        return [frame for frame in frames if frame is not None] or [self._frame(0)]
+        # In order, as videos are read; the next one while this one is shrunk.
+        frames = prefetch(read, spread(range(len(self._capture)), FRAME_COUNT), depth=1)
+        return [shrink(frame, FRAME_WIDTH) for frame in frames if frame is not None] or [self._frame(0)]
 
 
 def _content(file: Path | None) -> str:

@@ -2,8 +2,8 @@
 
 import atexit
 import importlib.util
+import json
 import logging
-import os
 import subprocess
 import sys
 import threading
@@ -16,7 +16,7 @@ from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable
 
 IMPORTS = (
-    "import importlib, os, sys; sys.path[:] = sys.argv[1].split(os.pathsep)\n"
+    "import importlib, json, sys; sys.path[:] = json.loads(sys.argv[1])\n"
     "for name in sys.argv[2:]: importlib.import_module(name); print(name, flush=True)"
 )
 """Program that imports modules, whose functions are compiled and kept by that, and names each when it is done."""
@@ -69,17 +69,20 @@ def compile_beside(modules: Sequence[str]) -> None:
     Numba leaves other threads of its process little time: beside it this one can load and read. Whoever imports one
     of the modules waits for that process, and compiles what it could not.
     """
+    if _beside or not sys.executable:
+        return
     try:
-        if all(map(_is_kept, modules)):
+        if all(name in sys.modules or _is_kept(name) for name in modules):
             return
         make_writable(_folder())
-        command = [sys.executable, "-c", IMPORTS, os.pathsep.join(sys.path), *modules]
+        # Without the folder that it is begun in, whose files are anybody's.
+        command = [sys.executable, "-P", "-c", IMPORTS, json.dumps([str(path) for path in sys.path]), *modules]
         streams: Any = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         process = subprocess.Popen(command, text=True, **streams)
     except (InputError, OSError):
         return
-    atexit.register(process.kill)
     _beside.append(process)
+    atexit.register(_end)
 
 
 def _is_kept(module: str) -> bool:
@@ -98,7 +101,13 @@ def _wait_for(module: str) -> None:
             if name := output.readline() if output else "":
                 _done.add(name.strip())
             else:
-                _beside.pop().wait()
+                _end()
+
+
+def _end() -> None:
+    while _beside:
+        with _beside.pop() as process:
+            process.kill()
 
 
 def _folder() -> Path:
