@@ -18,6 +18,8 @@ def main() -> None:
     if waits:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     cli.main()
+    if waits:  # what is still compiled for the next start may be left, but not by an exception amid it
+        signal.signal(signal.SIGINT, _end)
 
 
 def _end(*_: object) -> NoReturn:

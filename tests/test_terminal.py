@@ -1,8 +1,10 @@
 """What commands say on stderr: one line, from their first moment on."""
 
 import logging
+import signal
 import subprocess
 import sys
+import time
 import warnings
 
 import pytest
@@ -35,6 +37,23 @@ def test_an_interrupt_while_modules_load_is_one_line(handler: str, status: int, 
     code = INTERRUPTED_WHILE_LOADING.format(handler=handler)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (status, said)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no such signals")
+def test_an_interrupt_at_the_end_is_one_line() -> None:
+    """Where all is written, and a thread still compiles for the next start."""
+    code = (
+        "import threading, time\nfrom hyjax import __main__, cli\n"
+        "def done():\n    threading.Thread(target=time.sleep, args=(60,)).start()\n    print('done', flush=True)\n"
+        "cli.main = done\n__main__.main()"
+    )
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", code], text=True, **pipes) as ended:
+        assert ended.stdout is not None and ended.stdout.readline() == "done\n"
+        time.sleep(0.5)  # the main thread waits for the other
+        ended.send_signal(signal.SIGINT)
+        _, said = ended.communicate(timeout=10)
+    assert (ended.returncode, said) == (130, "hyjax: interrupted; the files written so far are whole\n")
 
 
 @pytest.mark.parametrize("command", ["info", "--version"])

@@ -141,6 +141,7 @@ class ScenePhotoLight:
         origin = {"file": "named", "capture": "known of the capture", "found": "found in the pictures", "none": ""}
         lit = f"{', '.join(names)} ({origin[sources.origin]})" if names else "no window and no lamp was found"
         shares = f"its brightness is believed by {estimate.exponent:.0%}, hue by {estimate.hue_exponent:.0%}"
+        shares = shares if names else f"it is taken to come from what was not scanned; {shares}"
         fate = shares if estimate.exponent else f"it stays in the pictures: {estimate.reason}"
         remedy = "if other windows or lamps lit them, name these with --photo-sources"
         return f"light of the photos: {lit}; {fate}; {remedy}"
@@ -247,16 +248,19 @@ class ScenePhotoLight:
 
     @functools.cached_property
     def _read_frames(self) -> list[Frame]:
-        def read(index: int) -> Frame | None:
+        def read(index: int) -> tuple[Frame, int] | None:
             try:
-                return self._frame(index)
+                frame = self._frame(index)
+                return frame, max(self._capture.camera(index).intrinsics.shape)
             except InputError as error:  # told in full when it is its turn to be relit
                 _log.info("the photo's light is estimated without frame %d: %s", index, error)
                 return None
 
         # In order, as videos are read; the next one while this one is shrunk.
         frames = prefetch(read, spread(range(len(self._capture)), FRAME_COUNT), depth=1)
-        return [shrink(frame, FRAME_WIDTH) for frame in frames if frame is not None] or [self._frame(0)]
+        # No larger than they were taken: what is enlarged shows windows that are none.
+        found = [shrink(known[0], min(FRAME_WIDTH, known[1])) for known in frames if known is not None]
+        return found or [self._frame(0)]
 
 
 def _content(file: Path | None) -> str:
