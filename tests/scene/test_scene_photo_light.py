@@ -188,6 +188,14 @@ def test_its_shapes_are_known_before_the_fit(named: Path) -> None:
     ]
 
 
+def test_enlarged_pictures_are_taken_as_they_were() -> None:
+    """Sources are found in what the camera saw: enlarged, a bright patch of wall came out as a window."""
+    for size in (LENS.shape, (4 * LENS.height, 4 * LENS.width), (LENS.height // 2, LENS.width // 2)):
+        scene = Scene(Room(), walls(), size=size)
+        shapes = {frame.image.shape[:2] for frame in scene.photo_light._frames}
+        assert scene.frame(0).image.shape[:2] == size and shapes == {min(size, LENS.shape)}
+
+
 def test_an_estimate_that_fails_is_waited_for_no_longer(tmp_path: Path) -> None:
     file = tmp_path / "windows.yaml"
     file.write_text("windows: 3")
