@@ -226,7 +226,6 @@ def _fitted(
     known = (gathered, basis.light[:count], shown.radiance)
     gathered_here, light, radiance = (jnp.asarray(a, jnp.float32) for a in known)
     seen, alike = jnp.asarray(shown.visible), jnp.asarray(basis.neighbours, jnp.int32)
-
     chosen = jnp.asarray(pairs, jnp.int32)
 
     def problem(fitted: Bool[np.ndarray, "n"]) -> FitProblem:

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import threading
 import time
 from fnmatch import fnmatch
 from pathlib import Path
@@ -161,6 +162,13 @@ def optimised(folder: Path) -> None:
         time.sleep(0.01)
 
 
+def join_optimisers() -> None:
+    """Wait for the threads of a context that has ended: a program takes over after its file is there."""
+    for thread in threading.enumerate():
+        if thread.name.startswith("optimised programs"):
+            thread.join(30.0)
+
+
 def test_a_quick_program_is_optimised_once_it_is_run_again(folder: Path) -> None:
     kept, arrays = KeptFunction(lambda x, factor: factor * jnp.sin(x)), (jnp.ones(2), 2.0)
     with quick_programs.quick_programs():
@@ -171,6 +179,7 @@ def test_a_quick_program_is_optimised_once_it_is_run_again(folder: Path) -> None
         assert names(folder) == {quick_programs.QUICK_SUFFIX}, "what runs no more is left"
         kept(*arrays)
         optimised(folder)
+    join_optimisers()
     (second,) = kept._ready.values()
     assert second is not first
     np.testing.assert_allclose(kept(*arrays), quick, rtol=1e-6)
@@ -190,6 +199,7 @@ def test_a_quick_program_is_read_by_the_next_start_and_optimised_there(
         quick_programs.optimise_programs()
         kept(jnp.ones(2), 3.0)
         optimised(folder)
+    join_optimisers()
     np.testing.assert_array_equal(kept(jnp.ones(2), 4.0), [4.0, 4.0])
 
 
