@@ -68,7 +68,7 @@ class ScenePhotoLight:
         self._last: tuple[LightSetup, Sequence[ShadowMap | None] | None, SurfaceLight] | None = None
         self._begun: Future[_Stored] | None = None
         self._expected: Future[PhotoLight | None] = Future()
-        self._lock, self._reading = threading.Lock(), threading.Lock()
+        self._lock = threading.Lock()
         self._sources: PhotoSources | None = None
 
     @property
@@ -212,12 +212,11 @@ class ScenePhotoLight:
             # Rays through windows that are known need no frame: these may still be rendered.
             known = hinted_windows(self._capture.anchors, up) if self._sources_file is None else ()
             rays = trace_scan(caster, up, known, self._progress) if known else None
-            sources = self.sources
-
+            sources, frames = self.sources, self._frames
             with ThreadPoolExecutor(1, thread_name_prefix="pane-means") as pool:
                 means = pool.submit(self._pane_means, sources)
                 arrays = estimate_arrays(
-                    caster, self._frames, up, sources, self._progress, rays=rays, expect=self._expect
+                    caster, frames, up, sources, self._progress, rays=rays, expect=self._expect
                 )
                 return {**arrays, "pane_means": means.result()}
 
@@ -240,14 +239,10 @@ class ScenePhotoLight:
         seen = weight > 1.0
         return np.where(seen[:, None], total / weight[:, None], 1.0).astype(np.float32)
 
-    @property
+    @functools.cached_property
     def _frames(self) -> list[Frame]:
         """Frames spread over the capture, no larger than needed."""
-        with self._reading:  # asked for by several threads
-            return self._read_frames
 
-    @functools.cached_property
-    def _read_frames(self) -> list[Frame]:
         def read(index: int) -> tuple[Frame, int] | None:
             try:
                 frame = self._frame(index)
