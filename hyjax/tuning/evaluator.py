@@ -21,7 +21,7 @@ from hyjax.tuning.study import Study
 from hyjax.tuning.trial import Trial
 from hyjax.util.programs import forget_programs_in_time
 
-ROUNDS = 25
+ROUNDS = 12
 """Frames that a trial is timed on, in turns with the default."""
 RELAXED_CASES = 4
 """Cases of the first batch that a relaxation looks at."""
@@ -99,8 +99,9 @@ class StudyEvaluator(Evaluator):
     ) -> None:
         super().__init__(space, cases, seed=seed, expired=expired)
         self.judge, self.clock, self.study = judge, clock, study
-        # What differs from the default in numbers alone takes as long; of the paper's form none does.
-        self._times: dict[str, float] = {} if space.paper else {structure(space.default, space): 1.0}
+        # What differs from the default in numbers alone takes as long, if what is not searched is the default's.
+        usual = not (space.paper or space.fixed)
+        self._times: dict[str, float] = {structure(space.default, space): 1.0} if usual else {}
 
     def relative(self, configuration: Configuration, cases: Sequence[Any]) -> list[float]:
         """Losses of a configuration over the default's."""

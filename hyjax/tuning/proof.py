@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 ROUNDS = 100
 MOST_SECONDS = 20.0
 """Most seconds of timing, for each configuration."""
-TIMING_SHARE = 0.1
-"""Share of a time limit in which the best for all budgets are timed, and each other configuration."""
+TIMING_SHARE, OTHERS_SHARE = 0.1, 0.02
+"""Share of a time limit in which the best for all budgets are timed, and each other configuration; an answer among
+those is timed once more."""
 NEXT_TO_NO_LOSS, FAR_FASTER = 0.005, 0.5
 """Share of loss that is given away, and share of the time that must be left for it."""
 LEAST_LOSS = 1e-9
@@ -87,7 +88,7 @@ def prove_in_time(
     for group in [[*first, *others]] if limit is None else [first, *([each] for each in others)]:
         if found and monitor.over():
             break
-        most_seconds = math.inf if limit is None else TIMING_SHARE * limit
+        most_seconds = math.inf if limit is None else (OTHERS_SHARE if found else TIMING_SHARE) * limit
         progress, done = monitor.progress, monitor.done
         found += prove(group, stage, progress=progress, done=done, most_seconds=most_seconds, default=default)
     searched = {id(configuration) for configuration in candidates}
@@ -121,7 +122,7 @@ def best_within(budget: Budget, candidates: Sequence[Candidate]) -> Candidate:
 
 def effects(trials: Sequence[Trial]) -> list[Effect]:
     """Effect on loss and time of each choice that was tried by itself."""
-    starts = [t for t in trials if t.phase in ("default", "ranges")] or list(trials[:1])
+    starts = [t for t in trials if t.phase in ("default", "start", "ranges")] or list(trials[:1])
     screened = [t for t in trials if t.phase == "screening"]
 
     def changed_from(base: Trial, trial: Trial) -> list[str]:

@@ -166,8 +166,11 @@ def further_budgets(tuned: Tuned) -> list[str]:
 
 def unjudged(tuned: Tuned) -> list[str]:
     """The choices that were not searched for want of true pictures."""
-    names = tuned.record.get("not searched")
-    return [f"Not searched: {', '.join(names)}; only the true pictures of --rooms can judge them."] if names else []
+    names, like = tuned.record.get("not searched"), tuned.record.get("not searched, as in", "the default")
+    if not names:
+        return []
+    listed = ", ".join(names)
+    return [f"Not searched, and as in {like}: {listed}; only the true pictures of --rooms can judge them."]
 
 
 def cut_short(tuned: Tuned) -> list[str]:

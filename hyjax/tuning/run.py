@@ -49,7 +49,7 @@ MORE_TRIALS = 8
 @contextlib.contextmanager
 def opened(settings: TuneSettings) -> Iterator[RunMonitor]:
     """The clock of a run whose folder is this process's alone."""
-    monitor, out = RunMonitor(settings.time_limit, not settings.quiet), settings.out
+    monitor, out = RunMonitor(settings.seconds, not settings.quiet), settings.out
     if out is not None:
         check_installed()
         make_writable(out)
@@ -88,7 +88,7 @@ class Run:
     def run(self) -> Tuned:
         """Search, refine, prove, write."""
         references = len(self.stage.references())
-        parts = 1 + self.settings.frame.trials + 2 * len(self._relative_limits()) + 2 * references
+        parts = 1 + self.settings.frame.count + 2 * len(self._relative_limits()) + 2 * references
         try:
             with self.monitor.watching(parts):
                 return self._run()
@@ -159,7 +159,7 @@ class Run:
         count, first = len(self.stage.cases), self.stage.first
         batches = sorted({min(first, count), min(2 * first, count), count})
         # The paper's form has fewer choices.
-        trials = self.settings.frame.trials // (2 if space.paper else 1)
+        trials = self.settings.frame.count // (2 if space.paper else 1)
         evaluator = self.stage.evaluator(space, study, self.monitor.expired)
         # Of few trials, some are left for the search.
         starts = [] if space.paper else self.stage.starts(limits)[: trials // 4]

@@ -12,6 +12,7 @@ from hyjax.configuration import Configuration
 from hyjax.data.capture import Capture
 from hyjax.data.truth_room import TruthCapture, load_truth_room
 from hyjax.light.color import to_display
+from hyjax.light.relit import relit_picture
 from hyjax.light.setup import LightSetup
 from hyjax.scene.alignment import aligned
 from hyjax.scene.relighter import Relighter
@@ -21,6 +22,7 @@ from hyjax.scene.surfaces import rough_mesh
 from hyjax.tuning.rooms import ROOM_PREFIX, check_room
 from hyjax.tuning.settings import CONVERGED_TARGET, ROOM_PHOTOS
 from hyjax.util.errors import InputError
+from hyjax.util.programs import run_kept
 from hyjax.util.sizes import parse_size
 
 ROOM_SIZE = "320x240"
@@ -91,8 +93,10 @@ class TuningScene:
             return Target(picture, np.ones(picture.shape[:2], bool), True)
         view = self.accurate.view(index)
         plain = Configuration().with_choices({"sampling": 1, "photo_light": "kept"})
-        relit = Relighter(self.accurate, setup, plain, occluders="surface", whole=True).relit(index)
-        return Target(np.asarray(to_display(relit.unrefined)), np.asarray(view.gbuffer.hit), False)
+        shaded = Relighter(self.accurate, setup, plain, occluders="surface", whole=True).shade(view)
+        illuminance, visibility = shaded.illuminance, shaded.visibility  # nothing is refined
+        _, image = run_kept(relit_picture, view.frame, shaded, illuminance, visibility)
+        return Target(np.asarray(to_display(image)), np.asarray(view.gbuffer.hit), False)
 
 
 def with_photo_light(configuration: Configuration) -> Configuration:

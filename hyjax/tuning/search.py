@@ -9,7 +9,8 @@
 relative to the default's on the same frames, and a time in turns with the default's: neither easy frames nor a busy
 machine are taken for good choices. A kept search goes on by updating an initial state with its trials.
 
-1. *Ranges*: κ, λ, α and the like of the default, by the gradient of the whole frame.
+1. *Ranges*: κ, λ, α and the like of the default, or of the best start within a budget of less than its time, by the
+   gradient of the whole frame.
 2. *Relaxed*: levels and steps of the cascade as real numbers, by the same gradient, within each budget.
 3. *Screening*: other values of the discrete choices, one at a time.
 4. *Combining*: a surrogate of the loss and a model of the time propose what should be best within each budget,
@@ -124,7 +125,7 @@ def propose(state: State, budgets: Sequence[float]) -> Proposed | None:
 
     Args:
         state: so far.
-        budgets: of time; infinite for none. They take turns.
+        budgets: of time; infinite for none. The first one has every other turn.
     """
     first, trials = state.batches[0], state.trials
     space = state.space
@@ -134,26 +135,24 @@ def propose(state: State, budgets: Sequence[float]) -> Proposed | None:
         for choices in state.starts:
             if key_of(choices) not in trials:
                 return state, Trial(choices, "start", cases=first)
-        base = trials[key_of(space.default)]
-        if proposed := _improved(state, base, "numbers", "ranges"):
+        if proposed := _improved(state, _base(state, budgets[0]), "numbers", "ranges"):
             return proposed
         if (relaxed := sum(how == "relaxed" for how, _ in state.tried)) < state.relaxes:
             started = sorted((t for t in trials.values() if t.phase == "start"), key=lambda t: t.loss)
-            ranked = [_start(state), *started]
+            ranked = [_start(state, budgets[0]), *started]
             for trial in ranked[relaxed:]:
                 if proposed := _improved(state, trial, "relaxed", "relaxed", budgets[relaxed % len(budgets)]):
                     return proposed
-        if sum(t.phase == "screening" for t in trials.values()) < state.count // 2:
-            screened = _screened(state)
-            if screened is not None:
-                return state, Trial(screened, "screening", cases=first)
+        few = sum(t.phase == "screening" for t in trials.values()) < state.count // 2
+        if few and (screened := _screened(state, budgets[0])) is not None:
+            return state, Trial(screened, "screening", cases=first)
         if state.relaxes <= 1 and (proposed := _new_best(state, budgets)):
             return proposed
         if len(trials) % state.turn == 0 and (proposed := _better(state, budgets)):
             return proposed
-        budget = budgets[len(trials) % len(budgets)]
-        found = _combined(state, budget)
-        if found is not None:
+        combined = sum(t.phase == "combining" for t in trials.values())
+        budget = budgets[combined // 2 % len(budgets) if combined % 2 else 0]
+        if (found := _combined(state, budget)) is not None:
             choices, predicted = found
             return state, Trial(choices, "combining", cases=first, budget=budget, predicted=predicted)
     return _halved(state, budgets)
@@ -189,10 +188,16 @@ def within(state: State, budget: float) -> list[Trial]:
     return [t for t in state.trials.values() if t.time is not None and t.time <= budget and t.losses]
 
 
-def _start(state: State) -> Trial:
-    """Better one of the default and the default with refined numbers."""
-    known = [t for t in state.trials.values() if t.phase in ("default", "ranges")]
-    return min(known, key=lambda t: t.loss)
+def _base(state: State, budget: float) -> Trial:
+    """The default, or for less than its time the best start within a budget."""
+    starts = [t for t in within(state, budget) if t.phase == "start" and budget < 1 and state.relaxes <= 1]
+    return min(starts, key=lambda t: t.loss, default=state.trials[key_of(state.space.default)])
+
+
+def _start(state: State, budget: float) -> Trial:
+    """Better one of the base and the base with refined numbers."""
+    refined = [t for t in state.trials.values() if t.phase == "ranges"]
+    return min([_base(state, budget), *refined], key=lambda t: t.loss)
 
 
 def _improved(
@@ -236,9 +241,9 @@ def _rng(state: State) -> np.random.Generator:
     return np.random.default_rng([state.seed, len(state.trials)])
 
 
-def _screened(state: State) -> Choices | None:
+def _screened(state: State, budget: float) -> Choices | None:
     """The next change of one choice, one value of each parameter after the other's; None when all were tried."""
-    base = _start(state).choices
+    base = _start(state, budget).choices
     changes, rng = state.space.changes(base), np.random.default_rng(state.seed)
     turn: dict[str, int] = {}
     numbered: list[tuple[int, int, Choices]] = []

@@ -21,7 +21,9 @@ SETUPS = ("evening-lamps", "two-colors", "golden-hour", "night-moon")
 """Light set-ups that frames are tuned under by default."""
 DIFFUSION_LIGHTS = "two-colors"
 """The set-up that the diffusion alone is tuned under by default."""
-MOST_TRIALS = 100_000
+TRIALS, MOST_TRIALS = 60, 100_000
+USUAL_SECONDS = 300.0
+"""Time limit of a search on a capture where neither it nor the number of trials is given."""
 ROOM_PHOTOS = 12
 """Number of photos of a room of known truth."""
 CONVERGED_TARGET = "converged"
@@ -87,12 +89,18 @@ class FrameOptions(Settings):
     """Width x height of the rooms' pictures."""
     room_frames: int = 4
     """Of each room, under each set-up of lights."""
-    trials: int = 60
-    """Configurations, or schedules of the diffusion, to try, besides those that are timed and judged in the end."""
+    trials: int | None = None
+    """Configurations, or schedules of the diffusion, to try, besides those that are timed and judged in the end.
+    Default: 60, or as many as there is time for."""
     lpips: float = 0.0
     """Weight of LPIPS in the loss; it needs the extra lpips."""
     paper_form: bool = False
     """Tune the paper's own form as well, to compare both at their best."""
+
+    @property
+    def count(self) -> int:
+        """Number of trials."""
+        return TRIALS if self.trials is None else self.trials
 
     def check(self) -> None:
         """Raise `InputError` for a value out of range, or a room that does not exist."""
@@ -105,7 +113,7 @@ class FrameOptions(Settings):
         if self.holdout_rooms and not self.rooms:
             raise InputError("holdout rooms: go with --rooms; of a capture give --holdout")
         parse_size(self.room_size)
-        if not 4 <= self.trials <= MOST_TRIALS:
+        if not 4 <= self.count <= MOST_TRIALS:
             raise InputError(f"trials: must lie in 4..{MOST_TRIALS}, got {self.trials}")
         if not 1 <= self.room_frames <= ROOM_PHOTOS:
             raise InputError(f"room frames: must be between 1 and {ROOM_PHOTOS}, got {self.room_frames}")
@@ -144,7 +152,8 @@ class TuneSettings(Settings):
     guide: str = "rgb"
     """Guide of the diffusion, where it is tuned alone: rgb, small or a safetensors file; see relight."""
     time_limit: float | None = None
-    """Seconds that all may take, about: the search ends early enough to time and judge what it has."""
+    """Seconds that all may take, about: the search ends early enough to time and judge what it has. Default: 300;
+    none where --trials or --rooms are given."""
     extra: bool = True
     """Also tune for a few more budgets, to draw the curve of quality against time."""
     recalibrate: bool = False
@@ -194,6 +203,12 @@ class TuneSettings(Settings):
         for name in ("target", "frames", "holdout") if self.frame.rooms else ():
             if getattr(self, name) != getattr(usual, name):
                 raise InputError(f"{name}: is of a capture; with --rooms give --room-frames and --holdout-rooms")
+
+    @property
+    def seconds(self) -> float | None:
+        """Time limit, the usual one among them; None for none."""
+        usual = None if self.frame.trials is not None or self.frame.rooms else USUAL_SECONDS
+        return usual if self.time_limit is None else self.time_limit
 
     @property
     def tuned_stage(self) -> BudgetStage:

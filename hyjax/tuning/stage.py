@@ -37,6 +37,8 @@ POLISH_CASES = 12
 BASE_ROUNDS = 60
 CHECK_ROUNDS = 30
 EXAMPLE_CASES = 3
+QUICK_PRESET = "balanced"
+"""Preset whose values are taken for less than the default's time where no true picture can judge others."""
 BUDGET_SHARE = 0.98
 """Share of a budget that is aimed at: a p95 is a noisy number."""
 
@@ -145,7 +147,17 @@ class FrameStage(Stage):
             (base,) = self.clock.times([self.base], BASE_ROUNDS)
             return dataclasses.asdict(base)
 
-        return FrameTime(**study.remember(study.timed("default"), timed))
+        base = FrameTime(**study.remember(study.timed("default"), timed))
+        if self.limit(self.settings.budgets()[0], base) < 1:
+            values = Configuration.preset(QUICK_PRESET).values()
+            unjudged = {name: values[name] for name in self._unjudged() if name in values}
+            self.space = dataclasses.replace(self.space, fixed={**unjudged, **self.space.fixed})
+        return base
+
+    def _unjudged(self) -> list[str]:
+        """Choices that are not searched for want of true pictures."""
+        of_renderer = Space.of(truth=True, renderer=self.settings.renderer)
+        return [name for name in of_renderer.named if name not in self.space.named]
 
     def check_reachable(self, space: Space, budgets: Sequence[Budget], base: FrameTime) -> None:
         check_reachable(budgets, base, space, self.clock)
@@ -227,11 +239,12 @@ class FrameStage(Stage):
         }
 
     def record(self) -> dict[str, Any]:
-        of_renderer = Space.of(truth=True, renderer=self.settings.renderer)
+        scenes, unjudged = [scene.name for scene in self.bench.scenes], self._unjudged()
         return {
-            "scenes": [scene.name for scene in self.bench.scenes],
+            "scenes": scenes,
             "timed under": self.bench.lights,
-            "not searched": [name for name in of_renderer.named if name not in self.space.named],
+            "not searched": unjudged,
+            "not searched, as in": QUICK_PRESET if self.space.fixed.keys() & unjudged else "the default",
         }
 
     def prediction_errors(self, state: State, tuned: Sequence[Candidate]) -> list[float]:

@@ -2,9 +2,10 @@
 
 import dataclasses
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from time import process_time, sleep
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.scene.relighter import refined_picture
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
+from hyjax.tuning.bench import FrameBench
 from hyjax.tuning.clock import FrameClock, FrameTime, Rounds, quiet_rounds, rounds_of, slowest_setup
 from hyjax.tuning.evaluation import Judge, padded
 from hyjax.tuning.loss import PictureLoss
@@ -28,7 +30,7 @@ from hyjax.tuning.request import Budget
 from hyjax.tuning.scene import Target, TuningScene, open_tuning_scene, spread_cases
 from hyjax.tuning.settings import FrameOptions, OtherDevice, TuneScene, TuneSettings
 from hyjax.tuning.space import Space
-from hyjax.tuning.stage import check_reachable
+from hyjax.tuning.stage import FrameStage, check_reachable
 
 need("tune")
 
@@ -318,6 +320,47 @@ def test_a_budget_out_of_reach_names_the_fastest(
     settings = dataclasses.replace(options, budget_ms=(0.01,), out=None)
     with pytest.raises(InputError, match=r"^budget 0\.01 ms: out of reach .* the fastest that was found takes"):
         tune(settings=settings, capture=room)
+
+
+class Remembered:
+    """A study that keeps nothing."""
+
+    def timed(self, name: str) -> str:
+        return name
+
+    def remember(self, name: str, compute: Callable[[], Any]) -> Any:
+        return compute()
+
+
+@pytest.mark.parametrize(("milliseconds", "edges"), [(20.0, True), (10.5, True), (6.0, False)])
+def test_what_no_true_picture_judges_is_a_quick_presets_for_less_than_the_defaults_time(
+    scene: TuningScene, milliseconds: float, edges: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(FrameClock, "times", steady_times)
+    settings = TuneSettings(budget_ms=(milliseconds,), quiet=True)
+    bench = FrameBench([scene], [(0, "two-colors", 0)], [], "two-colors")
+    stage = FrameStage(bench, settings)
+    stage.base_time(Remembered())  # type: ignore[arg-type]
+    balanced, own = Configuration.preset("balanced"), stage.space.configuration(stage.space.default)
+    assert Configuration().light.edges and not balanced.light.edges
+    assert own.light == (Configuration() if edges else balanced).light
+    assert own.schedule.levels == Configuration().schedule.levels, "what is searched starts from the default"
+    (again,) = stage.starts([0.5])[1:2]
+    assert stage.space.configuration(again).light == (own.light if edges else balanced.light)
+    assert stage.record()["not searched, as in"] == ("the default" if edges else "balanced")
+    time = stage.evaluator(stage.space, Remembered(), lambda: False).time(stage.space.default)  # type: ignore[arg-type]
+    assert time == 1.0
+
+
+def test_a_search_on_a_capture_takes_five_minutes_unless_more_is_asked_for() -> None:
+    seconds = {
+        TuneSettings(): 300.0,
+        TuneSettings(time_limit=20.0): 20.0,
+        TuneSettings(frame=FrameOptions(trials=100)): None,
+        TuneSettings(frame=FrameOptions(trials=100), time_limit=20.0): 20.0,
+        TuneSettings(frame=FrameOptions(rooms=("builtin-0",))): None,
+    }
+    assert {settings: settings.seconds for settings in seconds} == seconds
 
 
 @pytest.mark.parametrize(

@@ -197,6 +197,35 @@ def test_starts_are_tried() -> None:
     assert found.trials[key_of(start)].phase == "start"
 
 
+@pytest.mark.parametrize("budget", [0.5, 1.0])
+def test_less_than_the_defaults_time_starts_from_the_best_start_that_fits(budget: float) -> None:
+    """Of three starts, the best takes too long for the smaller budget, and the next is better than the default."""
+    better, fitting, worse = (
+        SPACE.complete(choices)
+        for choices in ({"cascade": "h"}, {"scale": 3, "cascade": "b"}, {"scale": 3, "guide": "none"})
+    )
+    told: list[Trial] = []
+    starts = [better, worse, fitting]
+    search(begun(24, relaxes=1, starts=starts), Known(), (budget,), report=lambda _, trial: told.append(trial))
+    ranges = next(t for t in told if t.phase == "ranges")
+    base = SPACE.default if budget == 1 else fitting
+    assert ranges.source == key_of(base)
+    best = ranges.choices
+    screened = [t.choices for t in told if t.phase == "screening"]
+    assert screened
+    for choices in screened:
+        changed = {name for name in best | choices if best.get(name) != choices.get(name)}
+        assert len(changed - {"size"}) == 1, "one choice at a time"
+
+
+def test_the_first_budget_has_every_other_turn() -> None:
+    told: list[Trial] = []
+    budgets = (1.0, 0.3, 0.5, 0.7, 1.5)
+    search(begun(40), Known(), budgets, report=lambda _, trial: told.append(trial))
+    turns = Counter(t.budget for t in told if t.phase == "combining")
+    assert turns[1.0] >= 0.45 * turns.total() and set(turns) == set(budgets)
+
+
 @pytest.mark.parametrize("kept", [1, 3, 12, 20])
 def test_a_kept_search_goes_on_where_it_stopped(kept: int) -> None:
     """Nothing but its trials has to be kept, and nothing that is known is asked again."""
