@@ -29,7 +29,7 @@ from jax.experimental import serialize_executable
 from hyjax.util.cache import remove_oldest, tell_unkept, touch
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write, remove, remove_stale
-from hyjax.util.quick_programs import QUICK_OPTIONS, QUICK_SUFFIX, are_quick, submit_once
+from hyjax.util.quick_programs import QUICK_OPTIONS, QUICK_SUFFIX, are_quick, compiler_options, submit_once
 
 P = ParamSpec("P")
 T = TypeVar("T", covariant=True)
@@ -135,12 +135,12 @@ class KeptFunction(Generic[P, T]):
         if quick:
             self._to_optimise[key] = functools.partial(self._optimise, key, file, lambda: lowered)
             return _compiled(lowered, quick_file, QUICK_OPTIONS)
-        return _compiled(lowered, file)
+        return _compiled(lowered, file, compiler_options())
 
     def _optimise(self, key: Any, file: Path, lower: Callable[[], jax.stages.Lowered]) -> None:
         """Compile a quick program once more, in its place."""
         try:
-            self._ready[key] = _compiled(lower(), file)
+            self._ready[key] = _compiled(lower(), file, compiler_options())
         except Exception as error:  # of XLA: the quick one stays
             _log.info("%s: not optimised (%s)", file, error)
 
@@ -202,15 +202,13 @@ def _lowered(function: Callable[..., Any], name: str, args: Any, kwargs: Any) ->
     return jax.jit(unknown).lower(*args, **kwargs)
 
 
-def _compiled(
-    lowered: jax.stages.Lowered, file: Path, options: dict[str, Any] | None = None
-) -> jax.stages.Compiled:
+def _compiled(lowered: jax.stages.Lowered, file: Path, options: dict[str, Any]) -> jax.stages.Compiled:
     """Compiled program, kept in a file. Past JAX's own cache: XLA cannot write a CPU program that it has read."""
     with _unwritten:
         compiled = lowered.compile(compiler_options=options)
     try:
         _write(file, compiled)
-        if options is None:
+        if not file.name.endswith(QUICK_SUFFIX):
             remove(file.with_suffix(QUICK_SUFFIX))
         remove_oldest(file.parent, "*.program", MOST_BYTES)
     except InputError as error:  # of a full disk

@@ -7,13 +7,16 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import jax
 
+CPU_OPTIONS: dict[str, bool | int] = {}
+"""XLA's options on processors."""
+if jax.__version_info__ < (0, 11):  # later ones have no other emitters
+    CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = False  # a third less time to compile, and as much to run
 QUICK_OPTIONS: dict[str, bool | int] = {
+    **CPU_OPTIONS,
     "xla_backend_optimization_level": 0,
     "xla_llvm_disable_expensive_passes": True,
 }
 """XLA's options of quick programs: several times less time to compile, and more to run."""
-if jax.__version_info__ < (0, 11):  # later ones have no other emitters
-    QUICK_OPTIONS["xla_cpu_use_fusion_emitters"] = False
 QUICK_SUFFIX = ".quick.program"
 THREADS = 2
 """Number of threads that optimise."""
@@ -39,6 +42,11 @@ def quick_programs(wanted: bool = True) -> Iterator[None]:
             pool, _optimiser = (None, _optimiser) if _contexts else (_optimiser, None)
         if pool is not None:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def compiler_options() -> dict[str, bool | int]:
+    """XLA's options of optimised programs here."""
+    return CPU_OPTIONS if jax.default_backend() == "cpu" else {}
 
 
 def are_quick() -> bool:
