@@ -21,7 +21,7 @@ from hyjax.scene.relighter import LitFrame, refined_picture
 from hyjax.tuning.cascade_numbers import with_numbers as with_cascade_numbers
 from hyjax.tuning.evaluation import FrameCase, Judge, padded
 from hyjax.tuning.scene import Target
-from hyjax.util.quick_programs import compiler_options
+from hyjax.util.quick_programs import cascade_options
 
 ITERATIONS = 12
 LEARNING_RATE = 0.3
@@ -103,7 +103,7 @@ def refine_numbers(
     alike = [padded(frame, most) for frame, _, _ in lit]
     start = numbers_of(configuration, levels=levels)
 
-    @functools.partial(jax.jit, compiler_options=compiler_options())
+    @functools.partial(jax.jit, compiler_options=cascade_options())
     def slope(
         logs: Numbers, frame: LitFrame, gains: Array, picture: Array, valid: Array
     ) -> tuple[tuple[Array, Array], Numbers]:

@@ -29,12 +29,14 @@ from jax.experimental import serialize_executable
 from hyjax.util.cache import remove_oldest, tell_unkept, touch
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write, remove, remove_stale
-from hyjax.util.quick_programs import QUICK_OPTIONS, QUICK_SUFFIX, are_quick, compiler_options, submit_once
+from hyjax.util.quick_programs import QUICK_OPTIONS, QUICK_SUFFIX, are_quick, cascade_options, submit_once
 
 P = ParamSpec("P")
 T = TypeVar("T", covariant=True)
 SOURCES = ("core", "light", "util", "pipeline.py")
 """Sources of kept programs: the pure layers."""
+CASCADES = ("pipeline.refine_illuminance", "pipeline.refine_visibility")
+"""Functions that are mostly cascades."""
 MOST_BYTES = 300_000_000
 """Most bytes of kept programs, some four million a size of picture; those that were used longest ago go first."""
 OPTION = re.compile("XLA_|JAX_(?!.*_CACHE(?:_|$))")
@@ -135,12 +137,15 @@ class KeptFunction(Generic[P, T]):
         if quick:
             self._to_optimise[key] = functools.partial(self._optimise, key, file, lambda: lowered)
             return _compiled(lowered, quick_file, QUICK_OPTIONS)
-        return _compiled(lowered, file, compiler_options())
+        return _compiled(lowered, file, self._options())
+
+    def _options(self) -> dict[str, bool | int]:
+        return cascade_options() if self._name in CASCADES else {}
 
     def _optimise(self, key: Any, file: Path, lower: Callable[[], jax.stages.Lowered]) -> None:
         """Compile a quick program once more, in its place."""
         try:
-            self._ready[key] = _compiled(lower(), file, compiler_options())
+            self._ready[key] = _compiled(lower(), file, self._options())
         except Exception as error:  # of XLA: the quick one stays
             _log.info("%s: not optimised (%s)", file, error)
 
