@@ -21,7 +21,7 @@ settings = hyjax.TuneSettings(
     budget_ms=(40.0,),  # or fps=(25,)
     frames="2,8",
     holdout="20",
-    frame=FrameOptions(trials=12),  # a short search; leave it out for the full one
+    frame=FrameOptions(trials=12),  # a short search; leave it out for one of five minutes
     extra=False,  # no other points of the curve of quality against time
     quiet=True,
 )

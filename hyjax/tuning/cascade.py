@@ -229,7 +229,7 @@ def tune_bench(
     if not chosen:
         raise InputError("frames: none is left to tune on; give frames that are not held out")
     stage = CascadeStage(bench, settings, chosen, holdout, latency)
-    monitor = monitor or RunMonitor(settings.seconds, not settings.quiet)
+    monitor = monitor or RunMonitor(settings.limit_seconds, not settings.quiet)
     if settings.target_device.device:
         monitor.begin()  # somebody had to open the page
     budgets = budgets or settings.budgets()

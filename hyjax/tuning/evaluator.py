@@ -166,7 +166,7 @@ class StudyEvaluator(Evaluator):
             usual = self.space.default
             more = self.space.complete(usual | {"cascade_4": usual["cascade_4"] + PRICED_STEPS})
             (time,) = self.clock.times([self.space.configuration(more)], ROUNDS)
-            return max((time.ratio - 1.0) / PRICED_STEPS, 1e-4)
+            return max((time.ratio - self.time(usual)) / PRICED_STEPS, 1e-4)
 
         price = float(self.study.remember(self.study.timed("price of a step"), compute))
         return {p.factor: price * (4 / p.factor) ** 2 for p in self.space.parameters if p.cascade == "cascade"}

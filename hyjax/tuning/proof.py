@@ -21,9 +21,10 @@ if TYPE_CHECKING:
 ROUNDS = 100
 MOST_SECONDS = 20.0
 """Most seconds of timing, for each configuration."""
-TIMING_SHARE, OTHERS_SHARE = 0.1, 0.02
-"""Share of a time limit in which the best for all budgets are timed, and each other configuration; an answer among
-those is timed once more."""
+TIMING_SHARE = 0.1
+"""Share of a time limit in which the best for all budgets are timed."""
+OTHERS_SHARE = 0.02
+"""Share of a time limit in which each other configuration is timed; an answer among them is timed once more."""
 NEXT_TO_NO_LOSS, FAR_FASTER = 0.005, 0.5
 """Share of loss that is given away, and share of the time that must be left for it."""
 LEAST_LOSS = 1e-9

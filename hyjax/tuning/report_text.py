@@ -166,11 +166,13 @@ def further_budgets(tuned: Tuned) -> list[str]:
 
 def unjudged(tuned: Tuned) -> list[str]:
     """The choices that were not searched for want of true pictures."""
-    names, like = tuned.record.get("not searched"), tuned.record.get("not searched, as in", "the default")
+    names, like = tuned.record.get("not searched"), tuned.record.get("not searched, as in", "default")
     if not names:
         return []
     listed = ", ".join(names)
-    return [f"Not searched, and as in {like}: {listed}; only the true pictures of --rooms can judge them."]
+    return [
+        f"Not searched: {listed}, for which {like}'s were taken; only the true pictures of --rooms can judge them."
+    ]
 
 
 def cut_short(tuned: Tuned) -> list[str]:

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from hyjax.configuration import Configuration
 from hyjax.tuning.clock import FrameTime
 from hyjax.tuning.monitor import RunMonitor
-from hyjax.tuning.proof import MOST_SECONDS, ROUNDS, best_within, effects, front_of, prove_in_time
+from hyjax.tuning.proof import MOST_SECONDS, ROUNDS, TIMING_SHARE, best_within, effects, front_of, prove_in_time
 from hyjax.tuning.report import REPORT_FILE, best_file, text_of, write_results
 from hyjax.tuning.report_page import page
 from hyjax.tuning.report_text import same
@@ -49,7 +49,7 @@ MORE_TRIALS = 8
 @contextlib.contextmanager
 def opened(settings: TuneSettings) -> Iterator[RunMonitor]:
     """The clock of a run whose folder is this process's alone."""
-    monitor, out = RunMonitor(settings.seconds, not settings.quiet), settings.out
+    monitor, out = RunMonitor(settings.limit_seconds, not settings.quiet), settings.out
     if out is not None:
         check_installed()
         make_writable(out)
@@ -88,7 +88,7 @@ class Run:
     def run(self) -> Tuned:
         """Search, refine, prove, write."""
         references = len(self.stage.references())
-        parts = 1 + self.settings.frame.count + 2 * len(self._relative_limits()) + 2 * references
+        parts = 1 + self.settings.frame.trial_count + 2 * len(self._relative_limits()) + 2 * references
         try:
             with self.monitor.watching(parts):
                 return self._run()
@@ -118,6 +118,8 @@ class Run:
             self._write(self.stage.space.default)  # what there is before anything is timed
         self.monitor.enter("timing the default")
         base = self._base = self.stage.base_time(study)
+        if not study.trials and self.stage.space.fixed:
+            self._write(self.stage.space.default)  # which the base's time has changed
         self.monitor.done()
         if self.monitor.expired():
             log.warning(
@@ -159,7 +161,7 @@ class Run:
         count, first = len(self.stage.cases), self.stage.first
         batches = sorted({min(first, count), min(2 * first, count), count})
         # The paper's form has fewer choices.
-        trials = self.settings.frame.count // (2 if space.paper else 1)
+        trials = self.settings.frame.trial_count // (2 if space.paper else 1)
         evaluator = self.stage.evaluator(space, study, self.monitor.expired)
         # Of few trials, some are left for the search.
         starts = [] if space.paper else self.stage.starts(limits)[: trials // 4]
@@ -339,9 +341,10 @@ class Run:
         for budget in self.budgets:
             for _ in range(ATTEMPTS):
                 chosen = best_within(budget, found)
-                if chosen.name in again or self.monitor.over():
+                if chosen.name in again or (again and self.monitor.over()):
                     break
                 again.add(chosen.name)
-                (time,) = self.stage.clock.times([chosen.configuration], ROUNDS, most_seconds=MOST_SECONDS)
+                seconds = min(MOST_SECONDS, TIMING_SHARE * (self.monitor.limit or math.inf))
+                (time,) = self.stage.clock.times([chosen.configuration], ROUNDS, most_seconds=seconds)
                 found = [dataclasses.replace(c, time=time) if c is chosen else c for c in found]
         return found

@@ -54,7 +54,7 @@ class State:
         batches: numbers of cases of the batches, growing.
         count: of trials on the first batch; half of them may be for screening.
         starts: choices that are tried first, such as presets'.
-        relaxes: number of trials whose levels and steps are relaxed before the screening: the default's, then the
+        relaxes: number of trials whose levels and steps are relaxed before the screening: the base's, then the
             best starts; 0 if they cannot be. If several, they come before numbers afterwards, too.
         turn: one in so many combinations is the best of a budget, made better by gradients.
         cost: time of choices over the default's where it is known; else the surrogate tells it.
@@ -189,15 +189,16 @@ def within(state: State, budget: float) -> list[Trial]:
 
 
 def _base(state: State, budget: float) -> Trial:
-    """The default, or for less than its time the best start within a budget."""
+    """The default, or for less than its time the best start within a budget; of many relaxed trials the default."""
     starts = [t for t in within(state, budget) if t.phase == "start" and budget < 1 and state.relaxes <= 1]
     return min(starts, key=lambda t: t.loss, default=state.trials[key_of(state.space.default)])
 
 
 def _start(state: State, budget: float) -> Trial:
     """Better one of the base and the base with refined numbers."""
-    refined = [t for t in state.trials.values() if t.phase == "ranges"]
-    return min([_base(state, budget), *refined], key=lambda t: t.loss)
+    base = _base(state, budget)
+    refined = [t for t in state.trials.values() if t.phase == "ranges" and t.source == key_of(base.choices)]
+    return min([base, *refined], key=lambda t: t.loss)
 
 
 def _improved(

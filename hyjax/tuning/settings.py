@@ -91,14 +91,14 @@ class FrameOptions(Settings):
     """Of each room, under each set-up of lights."""
     trials: int | None = None
     """Configurations, or schedules of the diffusion, to try, besides those that are timed and judged in the end.
-    Default: 60, or as many as there is time for."""
+    Default: 60, fewer where time is short."""
     lpips: float = 0.0
     """Weight of LPIPS in the loss; it needs the extra lpips."""
     paper_form: bool = False
     """Tune the paper's own form as well, to compare both at their best."""
 
     @property
-    def count(self) -> int:
+    def trial_count(self) -> int:
         """Number of trials."""
         return TRIALS if self.trials is None else self.trials
 
@@ -113,7 +113,7 @@ class FrameOptions(Settings):
         if self.holdout_rooms and not self.rooms:
             raise InputError("holdout rooms: go with --rooms; of a capture give --holdout")
         parse_size(self.room_size)
-        if not 4 <= self.count <= MOST_TRIALS:
+        if not 4 <= self.trial_count <= MOST_TRIALS:
             raise InputError(f"trials: must lie in 4..{MOST_TRIALS}, got {self.trials}")
         if not 1 <= self.room_frames <= ROOM_PHOTOS:
             raise InputError(f"room frames: must be between 1 and {ROOM_PHOTOS}, got {self.room_frames}")
@@ -153,7 +153,7 @@ class TuneSettings(Settings):
     """Guide of the diffusion, where it is tuned alone: rgb, small or a safetensors file; see relight."""
     time_limit: float | None = None
     """Seconds that all may take, about: the search ends early enough to time and judge what it has. Default: 300;
-    none where --trials or --rooms are given."""
+    none with --trials, --rooms or --paper-form."""
     extra: bool = True
     """Also tune for a few more budgets, to draw the curve of quality against time."""
     recalibrate: bool = False
@@ -205,9 +205,10 @@ class TuneSettings(Settings):
                 raise InputError(f"{name}: is of a capture; with --rooms give --room-frames and --holdout-rooms")
 
     @property
-    def seconds(self) -> float | None:
+    def limit_seconds(self) -> float | None:
         """Time limit, the usual one among them; None for none."""
-        usual = None if self.frame.trials is not None or self.frame.rooms else USUAL_SECONDS
+        more = self.frame.trials is not None or self.frame.rooms or self.frame.paper_form
+        usual = None if more else USUAL_SECONDS
         return usual if self.time_limit is None else self.time_limit
 
     @property

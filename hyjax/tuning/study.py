@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 FILE_NAME = "study.log"
 UNUSABLE_LOSS = 1e9
 """Stands for a loss that is not a number."""
-VERSION = 4
+VERSION = 5
 """Version of the journal. Add one whenever its contents mean something else."""
 KEPT_FIELDS = ("choices", "phase", "losses", "time", "cases", "improve", "source", "predicted")
 """Fields that are kept of a trial; its budget is known while it is proposed alone."""

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hyjax.configuration import DEFAULT
+from hyjax.configuration import DEFAULT, Configuration
 from hyjax.tuning.clock import FrameTime
 from hyjax.tuning.evaluation import Scores
 from hyjax.tuning.proof import effects
@@ -51,5 +51,8 @@ def unfinished(
     front = [candidate(trial, f"trial-{trial.time:.3f}") for trial in front_of_trials(trials)]
     default = state.trials.get(key_of(state.space.default))
     references = [] if default is None else [candidate(default, DEFAULT)]
+    if default is not None and default.time != 1.0:  # it has another's light, see `FrameStage.base_time`
+        own = FrameTime(base.median, base.judged, base.median, 1.0)
+        references = [Candidate(Configuration(), {"relative": 1.0}, None, own)]
     told = dict(record) | {"trials": len(trials), UNFINISHED: True}
     return Tuned(best[0].configuration, best, list(budgets), front, references, trials, effects(trials), [], told)

@@ -17,7 +17,8 @@ from hyjax import InputError, tune
 from hyjax.configuration import Configuration, LightOptions, Measured, ShadowOptions
 from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import RoomCapture, load_room
-from hyjax.scene.relighter import refined_picture
+from hyjax.light.color import to_display
+from hyjax.scene.relighter import Relighter, refined_picture
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.tuning.bench import FrameBench
@@ -337,7 +338,7 @@ def test_what_no_true_picture_judges_is_a_quick_presets_for_less_than_the_defaul
     scene: TuningScene, milliseconds: float, edges: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(FrameClock, "times", steady_times)
-    settings = TuneSettings(budget_ms=(milliseconds,), quiet=True)
+    settings = TuneSettings(budget_ms=(milliseconds, 1.0), quiet=True)
     bench = FrameBench([scene], [(0, "two-colors", 0)], [], "two-colors")
     stage = FrameStage(bench, settings)
     stage.base_time(Remembered())  # type: ignore[arg-type]
@@ -347,9 +348,32 @@ def test_what_no_true_picture_judges_is_a_quick_presets_for_less_than_the_defaul
     assert own.schedule.levels == Configuration().schedule.levels, "what is searched starts from the default"
     (again,) = stage.starts([0.5])[1:2]
     assert stage.space.configuration(again).light == (own.light if edges else balanced.light)
-    assert stage.record()["not searched, as in"] == ("the default" if edges else "balanced")
-    time = stage.evaluator(stage.space, Remembered(), lambda: False).time(stage.space.default)  # type: ignore[arg-type]
-    assert time == 1.0
+    assert stage.record()["not searched, as in"] == ("default" if edges else "balanced")
+
+    def times_with_edges(_: FrameClock, several: Sequence[Configuration], repeats: int) -> list[FrameTime]:
+        """A step at level 4 costs a hundredth of the default's time, light edges a fifth."""
+        ratios = [
+            (0.8 if c.light.photo_light == "divided" and not c.light.edges else 1.0)
+            + 0.01 * (c.schedule.levels[-1].steps - Configuration().schedule.levels[-1].steps)
+            for c in several
+        ]
+        return [FrameTime(9.0 * ratio, 10.0 * ratio, 9.0, ratio) for ratio in ratios]
+
+    monkeypatch.setattr(FrameClock, "times", times_with_edges)
+    evaluator = stage.evaluator(stage.space, Remembered(), lambda: False)  # type: ignore[arg-type]
+    assert evaluator.time(stage.space.default) == (1.0 if edges else 0.8)
+    assert evaluator._price()[4] == pytest.approx(0.01), "of a step, whatever the light costs"
+
+
+@pytest.mark.parametrize("lights", ["golden-hour", "evening-lamps"])
+def test_targets_are_what_the_accurate_surface_makes_of_a_frame_unrefined(scene: TuningScene, lights: str) -> None:
+    plain = Configuration().with_choices({"sampling": 1, "photo_light": "kept"})
+    assert scene.accurate is not None
+    relit = Relighter(scene.accurate, scene.setup(lights), plain, occluders="surface", whole=True).relit(2)
+    target = scene.target(lights, 2)
+    assert target.valid.mean() > 0.5
+    difference = np.abs(target.picture - np.asarray(to_display(relit.unrefined)))[target.valid]
+    assert difference.max() < 1e-5
 
 
 def test_a_search_on_a_capture_takes_five_minutes_unless_more_is_asked_for() -> None:
@@ -359,8 +383,9 @@ def test_a_search_on_a_capture_takes_five_minutes_unless_more_is_asked_for() -> 
         TuneSettings(frame=FrameOptions(trials=100)): None,
         TuneSettings(frame=FrameOptions(trials=100), time_limit=20.0): 20.0,
         TuneSettings(frame=FrameOptions(rooms=("builtin-0",))): None,
+        TuneSettings(frame=FrameOptions(paper_form=True)): None,
     }
-    assert {settings: settings.seconds for settings in seconds} == seconds
+    assert {settings: settings.limit_seconds for settings in seconds} == seconds
 
 
 @pytest.mark.parametrize(

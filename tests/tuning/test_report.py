@@ -249,9 +249,11 @@ def test_a_disturbed_clock_is_told_once_with_both_times() -> None:
 
 
 def test_choices_that_no_true_picture_could_judge_are_told() -> None:
-    said = report.summary(fake([FPS60], record={"not searched": ["bounces", "bounce_gain"]}))
-    line = "Not searched, and as in the default: bounces, bounce_gain; only the true pictures of --rooms can judge"
-    assert f"{line} them." in said
+    names = ["bounces", "bounce_gain"]
+    for like in ("default", "balanced"):
+        said = report.summary(fake([FPS60], record={"not searched": names, "not searched, as in": like}))
+        (line,) = [line for line in said if line.startswith("Not searched: bounces, bounce_gain, for which")]
+        assert f"{like}'s were taken; only the true pictures of --rooms can judge them." in line
     assert not any("Not searched" in line for line in report.summary(fake([FPS60], record={"not searched": []})))
 
 

@@ -1,5 +1,6 @@
 """Kept programs: read in another process, the same result, and made anew where they are damaged."""
 
+import importlib
 import os
 import subprocess
 import sys
@@ -278,3 +279,9 @@ def test_programs_are_forgotten_before_memory_is_refused(tmp_path: Path, monkeyp
 
 def _doubled(x: jax.Array) -> jax.Array:
     return 2.0 * x
+
+
+def test_cascades_with_options_of_their_own_exist() -> None:
+    for name in programs.CASCADES:
+        module, function = name.rsplit(".", 1)
+        assert callable(getattr(importlib.import_module(f"hyjax.{module}"), function))
