@@ -52,7 +52,7 @@ def test_an_interrupt_at_the_end_is_one_line() -> None:
         assert ended.stdout is not None and ended.stdout.readline() == "done\n"
         time.sleep(0.5)  # the main thread waits for the other
         ended.send_signal(signal.SIGINT)
-        _, said = ended.communicate(timeout=10)
+        _, said = ended.communicate(timeout=40)
     assert (ended.returncode, said) == (130, "hyjax: interrupted; the files written so far are whole\n")
 
 

@@ -1,6 +1,7 @@
 """Time limit and progress bar of a tuning run."""
 
 import contextlib
+import math
 from collections.abc import Iterator
 
 from tqdm import tqdm
@@ -9,6 +10,8 @@ from hyjax.util.clock import Stopwatch
 
 SEARCH_SHARE = 0.6
 """Share of a time limit after which the search ends: what was found is then timed and judged."""
+SECONDS_FORM = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt} of {total_fmt} s{postfix}"
+"""Form of the bar where there is a time limit."""
 
 
 class RunMonitor:
@@ -32,8 +35,9 @@ class RunMonitor:
 
     @contextlib.contextmanager
     def watching(self, parts: int) -> Iterator[None]:
-        """One bar of the whole run, of about so many parts."""
-        with tqdm(desc="tuning", total=parts, unit="part", disable=not self.progress) as self.bar:
+        """One bar of the whole run, of about so many parts, or of the seconds that it may take."""
+        total, form = (parts, None) if self.limit is None else (math.ceil(self.limit), SECONDS_FORM)
+        with tqdm(desc="tuning", total=total, unit="part", disable=not self.progress, bar_format=form) as self.bar:
             yield
             self.bar.total = self.bar.n
             self.bar.refresh()
@@ -48,9 +52,10 @@ class RunMonitor:
 
     def done(self) -> None:
         """Called after each part."""
+        now = self.bar.n + 1 if self.limit is None else max(self.bar.n, round(self.clock.seconds))
         if self.bar.total is not None:
-            self.bar.total = max(self.bar.total, self.bar.n + 1)
-        self.bar.update()
+            self.bar.total = max(self.bar.total, now)
+        self.bar.update(now - self.bar.n)
 
     def note(self, phase: str, best: float | None) -> None:
         """Called after each trial with the loss of the best so far over the default's; None where none fits."""
