@@ -2,8 +2,6 @@
 
 import os
 import signal
-import sys
-import threading
 from typing import NoReturn
 
 INTERRUPTED_MESSAGE = b"hyjax: interrupted; the files written so far are whole\n"
@@ -22,23 +20,6 @@ def main() -> None:
     cli.main()
     if waits:  # what is still compiled for the next start may be left, but not by an exception amid it
         signal.signal(signal.SIGINT, _end)
-        if sys.platform != "win32":
-            _end_at_once()
-
-
-def _end_at_once() -> None:
-    """End at an interrupt on a thread of its own: one that comes as the main thread falls asleep wakes nobody."""
-    receiver, sender = os.pipe()
-    os.set_blocking(sender, False)
-    signal.signal(signal.SIGINT, lambda *_: None)  # the number of the signal is written to the pipe
-    signal.set_wakeup_fd(sender, warn_on_full_buffer=False)
-
-    def wait() -> None:
-        while os.read(receiver, 1) != bytes([signal.SIGINT]):
-            pass
-        _end()
-
-    threading.Thread(target=wait, daemon=True).start()
 
 
 def _end(*_: object) -> NoReturn:
