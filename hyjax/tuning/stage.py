@@ -150,8 +150,8 @@ class FrameStage(Stage):
 
         base = FrameTime(**study.remember(study.timed("default"), timed))
         # A search that is gone on with keeps what its trials were timed with, whatever the budgets are then.
-        hurries = all(self.limit(budget, base) < 1 for budget in self.settings.budgets())
-        if study.remember("less than the default's time", lambda: hurries):
+        less = all(self.limit(budget, base) < 1 for budget in self.settings.budgets())
+        if study.remember("less than the default's time", lambda: less):
             values = Configuration.preset(QUICK_PRESET).values()
             unjudged = {name: values[name] for name in self._unjudged() if name in values}
             self.space = dataclasses.replace(self.space, fixed={**unjudged, **self.space.fixed})

@@ -8,8 +8,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import jax
 
 CASCADE_OPTIONS: dict[str, bool | int] = {}
-"""XLA's options of the cascades on processors: a third less time to compile, and as much to run. Light and shadows
-take two to three times as long with them."""
+"""XLA's options of the cascades on processors: less time to compile, and as much to run. Light and shadow maps run
+more slowly with them."""
 if jax.__version_info__ < (0, 11):  # later ones have no other emitters
     CASCADE_OPTIONS["xla_cpu_use_fusion_emitters"] = False
 QUICK_OPTIONS: dict[str, bool | int] = {
