@@ -2,7 +2,8 @@
 
 import os
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # there is a worker for each core; before NumPy is loaded
+for library in ("OPENBLAS", "OMP"):  # there is a worker for each core; before NumPy and torch are loaded
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
 import contextlib
 import ctypes
