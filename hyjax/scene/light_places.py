@@ -16,13 +16,19 @@ from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Aperture, RectLight
 from hyjax.scene.seen_surface import SeenSurface
-from hyjax.util.vectors import perpendicular, reject, unit
+from hyjax.util.vectors import fibonacci_sphere, perpendicular, reject, unit
 
 Vector = Float[np.ndarray, "3"]
 SURVEY_CAMERAS = 24
 """Most cameras of a survey."""
 STOP_DISTANCE = 4.0
 """Least distance, in metres, between the lamps of two stops that see each other."""
+LAMP_CLEARANCE = 1.0
+"""Least distance, in metres, of a made-up lamp from any surface, which it would burn a spot into."""
+CLEARANCE_RAYS = 200
+"""Number of rays around a place that its distance from surfaces is found by."""
+LAMP_SHIFTS = (np.linspace(-1.4, 1.4, 9), np.linspace(-1.4, 1.4, 9), np.linspace(0.0, 0.7, 3))
+"""Ways, in metres, that a made-up lamp is moved by to have it: ahead, aside and up."""
 MOST_STOPS, MOST_WINDOWS = 8, 4
 """Most stops of a walk, and most windows that are made up along it."""
 LAMP_REACH = 3.0
@@ -124,7 +130,9 @@ def survey(
     if windows and len(stops) == 1:
         chosen = []
     windows += [_made_up_window(caster, seen, stop, up) for stop in chosen]
-    return LightAnchors(up, focus, points, lamps or points, windows, stops, seen)
+    if not lamps:
+        lamps = [_cleared(caster, lamp, eye, up) for lamp in (_lamp(caster, focus, eye, up), points[1])]
+    return LightAnchors(up, focus, points, lamps, windows, stops, seen)
 
 
 def survey_capture(caster: RayCaster, capture: Capture, anchors: Mapping[str, Any] | None = None) -> LightAnchors:
@@ -144,8 +152,12 @@ def _stops(caster: RayCaster, seen: SeenSurface, eyes: Float[np.ndarray, "c 3"],
         stop_points = seen.points[seen.camera == camera]
         if not len(stop_points):
             continue
-        lamp = _points(caster, np.median(stop_points, axis=0), eye, up)[0]
-        near = [number for number, (earlier, _) in enumerate(found) if _together(caster, earlier, lamp)]
+        lamp = _lamp(caster, np.median(stop_points, axis=0), eye, up)
+        near = [
+            number
+            for number, (earlier, members) in enumerate(found)
+            if _together(caster, (earlier, eyes[members[0]]), (lamp, eye))
+        ]
         if near:
             found[min(near, key=lambda n: float(np.linalg.norm(found[n][0] - lamp)))][1].append(camera)
         else:
@@ -154,15 +166,17 @@ def _stops(caster: RayCaster, seen: SeenSurface, eyes: Float[np.ndarray, "c 3"],
     for _, members in found:
         chosen = np.isin(seen.camera, members)
         focus, eye = np.median(seen.points[chosen], axis=0), eyes[members].mean(axis=0)
-        stops.append(Stop(focus, eye, _points(caster, focus, eye, up)[0], chosen))
+        stops.append(Stop(focus, eye, _cleared(caster, _lamp(caster, focus, eye, up), eye, up), chosen))
     step = -(-len(stops) // MOST_STOPS)
     return stops[::step]
 
 
-def _together(caster: RayCaster, place: Vector, lamp: Vector) -> bool:
-    """Whether two lamps would light one place."""
-    to = lamp - place
-    return bool(np.linalg.norm(to) < STOP_DISTANCE and not caster.occluded(place[None], to[None], 0.98)[0])
+def _together(caster: RayCaster, one: tuple[Vector, Vector], other: tuple[Vector, Vector]) -> bool:
+    """Whether two lamps, each with the eye it was placed for, would light one place: one pair sees each other."""
+    (place, eye), (lamp, second_eye) = one, other
+    starts, to = np.stack([place, place, eye]), np.stack([lamp, second_eye, lamp])
+    near = np.linalg.norm(lamp - place) < STOP_DISTANCE
+    return bool(near and not caster.occluded(starts, to - starts, 0.98).all())
 
 
 def _has_lamp(caster: RayCaster, stop: Stop, lamps: Sequence[Vector]) -> bool:
@@ -223,12 +237,47 @@ def _made_up_window(caster: RayCaster, seen: SeenSurface, stop: Stop, up: Vector
 
 def _points(caster: RayCaster, focus: Vector, eye: Vector, up: Vector) -> list[Vector]:
     """Two places in free space: above the focus, and above and to the side of the viewer."""
+    return [
+        start + unit(rise) * min(np.linalg.norm(rise), 0.7 * _free(caster, start, rise))
+        for start, rise in _rises(focus, eye, up)
+    ]
+
+
+def _lamp(caster: RayCaster, focus: Vector, eye: Vector, up: Vector) -> Vector:
+    """Place above the focus, over a seat or table that it lies under if the eye sees that; else in free space."""
+    start, rise = _rises(focus, eye, up)[0]
+    to = start + rise - eye
+    seen = not caster.occluded(eye[None], to[None], 1.0)[0]
+    return start + rise if seen else _points(caster, focus, eye, up)[0]
+
+
+def _cleared(caster: RayCaster, lamp: Vector, eye: Vector, up: Vector) -> Vector:
+    """Place for a lamp, moved within the eye's view to the nearest that is far enough from surfaces."""
+    if _clearances(caster, lamp[None])[0] >= LAMP_CLEARANCE:
+        return lamp
+    ahead = level_direction(lamp - eye, up)
+    shifts = np.stack(np.meshgrid(*LAMP_SHIFTS, indexing="ij"), -1).reshape(-1, 3)
+    places = lamp + shifts @ np.stack([ahead, np.cross(ahead, up), up])
+    places = places[~caster.occluded(np.broadcast_to(eye, places.shape), places - eye, 1.0)]
+    places = np.vstack([lamp, places])
+    clearances = np.minimum(_clearances(caster, places), LAMP_CLEARANCE)
+    return places[np.lexsort((np.linalg.norm(places - lamp, axis=1), -clearances))[0]]
+
+
+def _clearances(caster: RayCaster, places: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    """Distance in metres from each place to the nearest surface, by rays all around."""
+    rays = fibonacci_sphere(CLEARANCE_RAYS)
+    starts = np.repeat(places, len(rays), axis=0)
+    return caster.cast(starts, np.tile(rays, (len(places), 1))).distance.reshape(len(places), -1).min(axis=1)
+
+
+def _rises(focus: Vector, eye: Vector, up: Vector) -> list[tuple[Vector, Vector]]:
+    """Where the ways to the two places begin, and how far they go where nothing is in the way."""
     forward = level_direction(focus - eye, up)
     aside = unit(np.cross(forward, up))
-    starts = [focus - 0.4 * forward + 0.3 * up, 0.5 * (focus + eye) - 0.2 * forward]
-    shifts = [0.5 * up + 0.35 * aside, 0.6 * up - 0.9 * aside]
     return [
-        start + unit(s) * min(np.linalg.norm(s), 0.7 * _free(caster, start, s)) for start, s in zip(starts, shifts)
+        (focus - 0.4 * forward + 0.3 * up, 0.5 * up + 0.35 * aside),
+        (0.5 * (focus + eye) - 0.2 * forward, 0.6 * up - 0.9 * aside),
     ]
 
 

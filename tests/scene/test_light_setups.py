@@ -147,7 +147,33 @@ def test_made_up_window_faces_what_is_looked_at(box: RayCaster) -> None:
     (window,) = stage.windows
     assert abs(window.inward @ UP) < 1e-6 and np.linalg.norm(window.inward) == pytest.approx(1)
     assert (stage.focus - window.center) @ window.inward > 0.3
-    assert stage.lamps is stage.points and len(stage.points) == 2
+    assert len(stage.points) == 2
+    np.testing.assert_array_equal(stage.lamps, stage.points)  # nothing is near them
+
+
+@pytest.mark.parametrize(("height", "count"), [(0.95, 1), (2.5, 2)])
+def test_furniture_does_not_part_a_room_as_a_wall_does(box: RayCaster, height: float, count: int) -> None:
+    panel = trimesh.creation.box(bounds=[[-2.0, -0.02, 0.0], [2.0, 0.02, height]])
+    cameras = [box_camera((0.2, side * 2.5, 1.5), (0.2, side * 0.7, 0.0)) for side in (-1, 1)]
+    stage = survey(RayCaster(trimesh.util.concatenate([box.mesh, panel])), cameras, UP)
+    assert len(stage.stops) == count
+
+
+def test_a_made_up_lamp_burns_no_spot_into_what_is_near(box: RayCaster) -> None:
+    """What is looked at lies under a seat, with a wall beside it."""
+    seat = trimesh.creation.box(bounds=[[-0.6, 0.0, 0.55], [0.2, 0.9, 0.6]])
+    wall = trimesh.creation.box(bounds=[[-1.0, -1.0, 0.0], [-0.9, 3.0, 2.5]])
+    caster = RayCaster(trimesh.util.concatenate([box.mesh, seat, wall]))
+    stage = survey(caster, [box_camera((0.2, -2.0, 1.0), (-0.2, 0.6, 0.0))], UP)
+    surface = caster.mesh.subdivide_to_size(0.05).vertices
+
+    def clearance(lamp: np.ndarray) -> float:
+        return float(np.linalg.norm(surface - lamp, axis=1).min())
+
+    assert clearance(stage.points[0]) < 0.4
+    for lamp in stage.lamps:
+        assert clearance(lamp) > 0.7
+        assert not caster.occluded(stage.stops[0].eye[None], (lamp - stage.stops[0].eye)[None], 1.0)[0]
 
 
 def test_the_sun_falls_downwards_through_its_window(stages: dict[str, tuple]) -> None:
