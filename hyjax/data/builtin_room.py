@@ -108,11 +108,15 @@ class RoomCapture(Capture):
 
     def scan_input(self) -> "tuple[RenderedDepths, ScanConfig]":
         """Depth along a walk of its own: a headset covers more of a room than the pictures do, more than once."""
+        return self._scanned, scan_config()
+
+    @functools.cached_property
+    def _scanned(self) -> "RenderedDepths":
+        """Depth that the surface, and its finer detail for shadows, are both scanned from."""
         from hyjax.geometry.scan import RenderedDepths
         from hyjax.synthetic.room.path import camera_path
 
-        config = scan_config()
-        return RenderedDepths(self._surface.mesh, camera_path(config.frames, 256, 192)), config
+        return RenderedDepths(self._surface.mesh, camera_path(scan_config().frames, 256, 192))
 
     def __len__(self) -> int:
         return len(self._cameras)

@@ -42,9 +42,13 @@ class TruthCapture(RoomCapture):
 
     def scan_input(self) -> tuple[RenderedDepths, ScanConfig]:
         """Depth along a walk of its own: a headset covers more of a room than the pictures do, more than once."""
+        return self._scanned, scan_config()
+
+    @functools.cached_property
+    def _scanned(self) -> RenderedDepths:
         focal = 525.0 * 256 / 640
         cameras = [Camera(Intrinsics(256, 192, focal, focal, 128.0, 96.0), pose) for pose in self._scan_poses]
-        return RenderedDepths(self._surface.mesh, cameras), scan_config()
+        return RenderedDepths(self._surface.mesh, cameras)
 
     @functools.cached_property
     def room(self) -> TruthRoom:

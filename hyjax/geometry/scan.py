@@ -93,17 +93,20 @@ class PosedDepths(Protocol):
 
 
 class RenderedDepths:
-    """Depth maps of a true mesh, rendered when asked for."""
+    """Depth maps of a true mesh, each rendered when first asked for."""
 
     def __init__(self, mesh: trimesh.Trimesh, cameras: Sequence[Camera]) -> None:
         self._caster, self._cameras = RayCaster(mesh), cameras
+        self._rendered: dict[int, Float[np.ndarray, "h w"]] = {}
 
     def __len__(self) -> int:
         return len(self._cameras)
 
     def __getitem__(self, index: int) -> tuple[Float[np.ndarray, "h w"], Camera]:
         camera = self._cameras[index]
-        return np.asarray(self._caster.gbuffer(camera).depth), camera
+        if index not in self._rendered:
+            self._rendered[index] = np.array(self._caster.gbuffer(camera).depth)
+        return self._rendered[index], camera
 
 
 def simulate_scan(
