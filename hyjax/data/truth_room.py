@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from hyjax.data.builtin_room import RoomCapture, scan_config
 from hyjax.geometry.camera import Camera, Intrinsics
-from hyjax.geometry.scan import RenderedDepths, ScanConfig
+from hyjax.geometry.scan import RenderedDepths
 from hyjax.light.setup import LightSetup
 from hyjax.synthetic.truth import TruthLight, TruthRoom, lit_room
 from hyjax.synthetic.truth.room import VERSION, source_key, truth_exposure
@@ -40,12 +40,9 @@ class TruthCapture(RoomCapture):
         self.exposure, self.mean_light = arrays["exposure"], arrays["mean_light"]
         self._scan_poses, self._folder, self._quality = arrays["scan_poses"], folder, quality
 
-    def scan_input(self) -> tuple[RenderedDepths, ScanConfig]:
-        """Depth along a walk of its own: a headset covers more of a room than the pictures do, more than once."""
-        return self._scanned, scan_config()
-
     @functools.cached_property
     def _scanned(self) -> RenderedDepths:
+        """Depth along a walk of its own."""
         focal = 525.0 * 256 / 640
         cameras = [Camera(Intrinsics(256, 192, focal, focal, 128.0, 96.0), pose) for pose in self._scan_poses]
         return RenderedDepths(self._surface.mesh, cameras)

@@ -105,7 +105,7 @@ class RenderedDepths:
     def __getitem__(self, index: int) -> tuple[Float[np.ndarray, "h w"], Camera]:
         camera = self._cameras[index]
         if index not in self._rendered:
-            self._rendered[index] = np.array(self._caster.gbuffer(camera).depth)
+            self._rendered[index] = np.asarray(self._caster.gbuffer(camera).depth)
         return self._rendered[index], camera
 
 

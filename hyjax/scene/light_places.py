@@ -22,12 +22,16 @@ Vector = Float[np.ndarray, "3"]
 SURVEY_CAMERAS = 24
 """Most cameras of a survey."""
 STOP_DISTANCE = 4.0
-"""Least distance, in metres, between the lamps of two stops that see each other."""
+"""Least distance, in metres, between the lamps of two stops of which one would light what is seen at the other."""
+SAME_PLACE_SHARE = 0.5
+"""Least share of what a camera sees that the lamp of a stop reaches for the camera to belong to it."""
 LAMP_CLEARANCE = 1.0
-"""Least distance, in metres, of a made-up lamp from any surface, which it would burn a spot into."""
+"""Wanted distance, in metres, of a made-up lamp from any surface, which it would burn a spot into."""
+CLEARANCE_WEIGHT = 3.0
+"""Way, in metres, that a made-up lamp is moved for a metre of clearance that it lacks."""
 CLEARANCE_RAYS = 200
 """Number of rays around a place that its distance from surfaces is found by."""
-LAMP_SHIFTS = (np.linspace(-1.4, 1.4, 9), np.linspace(-1.4, 1.4, 9), np.linspace(0.0, 0.7, 3))
+LAMP_SHIFTS = (np.linspace(-1.4, 1.4, 9), np.linspace(-1.4, 1.4, 9), np.linspace(-0.7, 0.7, 5))
 """Ways, in metres, that a made-up lamp is moved by to have it: ahead, aside and up."""
 MOST_STOPS, MOST_WINDOWS = 8, 4
 """Most stops of a walk, and most windows that are made up along it."""
@@ -73,7 +77,7 @@ class Stop:
     Attributes:
         focus: median point of the surface that they see.
         eye: mean position of the cameras.
-        lamp: place in free space above the focus.
+        lamp: place in free space above the focus, or near there, clear of surfaces.
         points: which points of the seen surface they see.
     """
 
@@ -90,8 +94,8 @@ class LightAnchors:
     Attributes:
         focus: median point of the visible surface.
         points: two places in free space, above the focus and nearer to the viewer.
-        lamps: the room's own lamps, and those of the stops that have none; `points` where there is a single stop
-            without any.
+        lamps: the room's own lamps, and those of the stops that have none; where there is a single stop without
+            any, `points`, moved clear of surfaces.
         windows: the room's own windows, and those of the stops that none of these reaches.
     """
 
@@ -131,7 +135,7 @@ def survey(
         chosen = []
     windows += [_made_up_window(caster, seen, stop, up) for stop in chosen]
     if not lamps:
-        lamps = [_cleared(caster, lamp, eye, up) for lamp in (_lamp(caster, focus, eye, up), points[1])]
+        lamps = [_cleared(caster, place, _nearest(few_eyes, eye), up) for place in points]
     return LightAnchors(up, focus, points, lamps, windows, stops, seen)
 
 
@@ -152,31 +156,33 @@ def _stops(caster: RayCaster, seen: SeenSurface, eyes: Float[np.ndarray, "c 3"],
         stop_points = seen.points[seen.camera == camera]
         if not len(stop_points):
             continue
-        lamp = _lamp(caster, np.median(stop_points, axis=0), eye, up)
-        near = [
-            number
-            for number, (earlier, members) in enumerate(found)
-            if _together(caster, (earlier, eyes[members[0]]), (lamp, eye))
-        ]
+        lamp = _points(caster, np.median(stop_points, axis=0), eye, up)[0]
+        near = [n for n, (earlier, _) in enumerate(found) if _together(caster, earlier, lamp, stop_points)]
         if near:
             found[min(near, key=lambda n: float(np.linalg.norm(found[n][0] - lamp)))][1].append(camera)
         else:
             found.append((lamp, [camera]))
     stops = []
-    for _, members in found:
+    for _, members in found[:: -(-len(found) // MOST_STOPS)]:
         chosen = np.isin(seen.camera, members)
         focus, eye = np.median(seen.points[chosen], axis=0), eyes[members].mean(axis=0)
-        stops.append(Stop(focus, eye, _cleared(caster, _lamp(caster, focus, eye, up), eye, up), chosen))
-    step = -(-len(stops) // MOST_STOPS)
-    return stops[::step]
+        lamp = _cleared(caster, _points(caster, focus, eye, up)[0], _nearest(eyes[members], eye), up)
+        stops.append(Stop(focus, eye, lamp, chosen))
+    return stops
 
 
-def _together(caster: RayCaster, one: tuple[Vector, Vector], other: tuple[Vector, Vector]) -> bool:
-    """Whether two lamps, each with the eye it was placed for, would light one place: one pair sees each other."""
-    (place, eye), (lamp, second_eye) = one, other
-    starts, to = np.stack([place, place, eye]), np.stack([lamp, second_eye, lamp])
-    near = np.linalg.norm(lamp - place) < STOP_DISTANCE
-    return bool(near and not caster.occluded(starts, to - starts, 0.98).all())
+def _nearest(eyes: Float[np.ndarray, "c 3"], mean: Vector) -> Vector:
+    """Eye of a camera: their mean may lie in a wall."""
+    nearest: Vector = eyes[np.argmin(np.linalg.norm(eyes - mean, axis=1))]
+    return nearest
+
+
+def _together(caster: RayCaster, place: Vector, lamp: Vector, seen: Float[np.ndarray, "n 3"]) -> bool:
+    """Whether the lamp at a place would light what a camera sees, or its own lamp at least."""
+    if np.linalg.norm(lamp - place) >= STOP_DISTANCE:
+        return False
+    hidden = caster.occluded(place, np.vstack([lamp, seen]) - place, 0.98)
+    return bool(not hidden[0] or (~hidden[1:]).mean() >= SAME_PLACE_SHARE)
 
 
 def _has_lamp(caster: RayCaster, stop: Stop, lamps: Sequence[Vector]) -> bool:
@@ -237,48 +243,35 @@ def _made_up_window(caster: RayCaster, seen: SeenSurface, stop: Stop, up: Vector
 
 def _points(caster: RayCaster, focus: Vector, eye: Vector, up: Vector) -> list[Vector]:
     """Two places in free space: above the focus, and above and to the side of the viewer."""
+    forward = level_direction(focus - eye, up)
+    aside = unit(np.cross(forward, up))
+    starts = [focus - 0.4 * forward + 0.3 * up, 0.5 * (focus + eye) - 0.2 * forward]
+    shifts = [0.5 * up + 0.35 * aside, 0.6 * up - 0.9 * aside]
     return [
-        start + unit(rise) * min(np.linalg.norm(rise), 0.7 * _free(caster, start, rise))
-        for start, rise in _rises(focus, eye, up)
+        start + unit(s) * min(np.linalg.norm(s), 0.7 * _free(caster, start, s)) for start, s in zip(starts, shifts)
     ]
 
 
-def _lamp(caster: RayCaster, focus: Vector, eye: Vector, up: Vector) -> Vector:
-    """Place above the focus, over a seat or table that it lies under if the eye sees that; else in free space."""
-    start, rise = _rises(focus, eye, up)[0]
-    to = start + rise - eye
-    seen = not caster.occluded(eye[None], to[None], 1.0)[0]
-    return start + rise if seen else _points(caster, focus, eye, up)[0]
-
-
-def _cleared(caster: RayCaster, lamp: Vector, eye: Vector, up: Vector) -> Vector:
-    """Place for a lamp, moved within the eye's view to the nearest that is far enough from surfaces."""
+def _cleared(caster: RayCaster, lamp: Vector, viewer: Vector, up: Vector) -> Vector:
+    """Place for a lamp, moved within the viewer's sight, over a surface, as far as its clearance is worth it."""
     if _clearances(caster, lamp[None])[0] >= LAMP_CLEARANCE:
         return lamp
-    ahead = level_direction(lamp - eye, up)
+    ahead = level_direction(lamp - viewer, up)
     shifts = np.stack(np.meshgrid(*LAMP_SHIFTS, indexing="ij"), -1).reshape(-1, 3)
     places = lamp + shifts @ np.stack([ahead, np.cross(ahead, up), up])
-    places = places[~caster.occluded(np.broadcast_to(eye, places.shape), places - eye, 1.0)]
+    places = places[~caster.occluded(viewer, places - viewer, 1.0)]
+    places = places[caster.cast(places, np.broadcast_to(-up, places.shape)).hit]
     places = np.vstack([lamp, places])
-    clearances = np.minimum(_clearances(caster, places), LAMP_CLEARANCE)
-    return places[np.lexsort((np.linalg.norm(places - lamp, axis=1), -clearances))[0]]
+    missing = np.maximum(LAMP_CLEARANCE - _clearances(caster, places), 0.0)
+    chosen: Vector = places[np.argmin(np.linalg.norm(places - lamp, axis=1) + CLEARANCE_WEIGHT * missing)]
+    return chosen
 
 
 def _clearances(caster: RayCaster, places: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
-    """Distance in metres from each place to the nearest surface, by rays all around."""
+    """Distance in metres from each place to the nearest surface, by rays all around, which miss what is thin."""
     rays = fibonacci_sphere(CLEARANCE_RAYS)
     starts = np.repeat(places, len(rays), axis=0)
     return caster.cast(starts, np.tile(rays, (len(places), 1))).distance.reshape(len(places), -1).min(axis=1)
-
-
-def _rises(focus: Vector, eye: Vector, up: Vector) -> list[tuple[Vector, Vector]]:
-    """Where the ways to the two places begin, and how far they go where nothing is in the way."""
-    forward = level_direction(focus - eye, up)
-    aside = unit(np.cross(forward, up))
-    return [
-        (focus - 0.4 * forward + 0.3 * up, 0.5 * up + 0.35 * aside),
-        (0.5 * (focus + eye) - 0.2 * forward, 0.6 * up - 0.9 * aside),
-    ]
 
 
 def _free(caster: RayCaster, start: Vector, direction: Vector) -> float:

@@ -151,6 +151,14 @@ def test_unusable_configuration_is_named(name: str, value: float) -> None:
         dataclasses.replace(ScanConfig(), **{name: value})
 
 
+def test_depth_is_rendered_once_for_all_scans_of_it(room: RenderedDepths, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = RenderedDepths(room._caster.mesh, room._cameras[:2])
+    first = [np.asarray(depth) for depth, _ in frames]
+    monkeypatch.setattr(frames._caster, "gbuffer", None)
+    for depth, (again, _) in zip(first, frames, strict=True):
+        np.testing.assert_array_equal(depth, again)
+
+
 def test_nothing_to_scan(room: RenderedDepths) -> None:
     with pytest.raises(InputError, match="no frames"):
         simulate_scan([], progress=False)

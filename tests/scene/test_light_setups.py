@@ -147,16 +147,39 @@ def test_made_up_window_faces_what_is_looked_at(box: RayCaster) -> None:
     (window,) = stage.windows
     assert abs(window.inward @ UP) < 1e-6 and np.linalg.norm(window.inward) == pytest.approx(1)
     assert (stage.focus - window.center) @ window.inward > 0.3
-    assert len(stage.points) == 2
-    np.testing.assert_array_equal(stage.lamps, stage.points)  # nothing is near them
+    assert len(stage.lamps) == len(stage.points) == 2
 
 
-@pytest.mark.parametrize(("height", "count"), [(0.95, 1), (2.5, 2)])
-def test_furniture_does_not_part_a_room_as_a_wall_does(box: RayCaster, height: float, count: int) -> None:
-    panel = trimesh.creation.box(bounds=[[-2.0, -0.02, 0.0], [2.0, 0.02, height]])
-    cameras = [box_camera((0.2, side * 2.5, 1.5), (0.2, side * 0.7, 0.0)) for side in (-1, 1)]
+def lamp_lux(stage: LightAnchors) -> np.ndarray:
+    """Median illuminance of what each camera sees by the lamps, in lux."""
+    lamps = [PointLight(lamp, 900.0, np.ones(3), radius=0.06, clearance=0.3) for lamp in stage.lamps]
+    return stage.seen.of_cameras(stage.seen.lux(lamps).sum(axis=1))
+
+
+def clearance(mesh: trimesh.Trimesh, place: np.ndarray) -> float:
+    """Distance of a place from a surface, in metres."""
+    return float(np.linalg.norm(mesh.subdivide_to_size(0.05).vertices - place, axis=1).min())
+
+
+@pytest.mark.parametrize(("width", "count"), [(0.25, 1), (2.0, 2)])
+def test_the_back_of_a_chair_does_not_part_a_room_as_a_partition_does(
+    box: RayCaster, width: float, count: int
+) -> None:
+    panel = trimesh.creation.box(bounds=[[-width, -0.02, 0.0], [width, 0.02, 0.95]])
+    cameras = [box_camera((0.0, side * 2.5, 1.5), (0.0, side * 0.7, 0.0)) for side in (-1, 1)]
     stage = survey(RayCaster(trimesh.util.concatenate([box.mesh, panel])), cameras, UP)
     assert len(stage.stops) == count
+    assert (lamp_lux(stage) > 5).all()
+
+
+def test_a_camera_at_a_door_gets_a_lamp_in_the_room_that_it_looks_into() -> None:
+    rooms = trimesh.creation.box(bounds=[[-3.0, -1.5, 0.0], [3.0, 1.5, 2.5]])
+    rooms.invert()
+    sides = [[[-0.05, -1.5, 0.0], [0.05, -0.42, 2.5]], [[-0.05, 0.42, 0.0], [0.05, 1.5, 2.5]]]
+    walls = [trimesh.creation.box(bounds=bounds) for bounds in sides]
+    cameras = [box_camera((-0.5, 0.9, 1.5), (-2.0, -0.5, 0.5)), box_camera((-0.25, 0.0, 1.5), (2.0, 0.0, 0.5))]
+    stage = survey(RayCaster(trimesh.util.concatenate([rooms, *walls])), cameras, UP)
+    assert len(stage.stops) == 2 and (lamp_lux(stage) > 5).all()
 
 
 def test_a_made_up_lamp_burns_no_spot_into_what_is_near(box: RayCaster) -> None:
@@ -165,15 +188,34 @@ def test_a_made_up_lamp_burns_no_spot_into_what_is_near(box: RayCaster) -> None:
     wall = trimesh.creation.box(bounds=[[-1.0, -1.0, 0.0], [-0.9, 3.0, 2.5]])
     caster = RayCaster(trimesh.util.concatenate([box.mesh, seat, wall]))
     stage = survey(caster, [box_camera((0.2, -2.0, 1.0), (-0.2, 0.6, 0.0))], UP)
-    surface = caster.mesh.subdivide_to_size(0.05).vertices
-
-    def clearance(lamp: np.ndarray) -> float:
-        return float(np.linalg.norm(surface - lamp, axis=1).min())
-
-    assert clearance(stage.points[0]) < 0.4
+    assert clearance(caster.mesh, stage.points[0]) < 0.4
     for lamp in stage.lamps:
-        assert clearance(lamp) > 0.7
-        assert not caster.occluded(stage.stops[0].eye[None], (lamp - stage.stops[0].eye)[None], 1.0)[0]
+        assert clearance(caster.mesh, lamp) > 0.8
+        assert not caster.occluded(stage.stops[0].eye, (lamp - stage.stops[0].eye)[None], 1.0)[0]
+
+
+def test_a_made_up_lamp_stays_in_the_room() -> None:
+    """Beyond an open window there is room without end, and nothing to light."""
+    room = trimesh.creation.box(bounds=[[-2.0, -3.0, 0.0], [2.0, 3.0, 2.4]]).subdivide_to_size(0.3)
+    room.invert()
+    middle = room.triangles_center
+    opening = (middle[:, 1] > 2.99) & (abs(middle[:, 0]) < 1.2) & (abs(middle[:, 2] - 1.5) < 0.65)
+    room.update_faces(~opening)
+    stage = survey(RayCaster(room), [box_camera((0.1, -1.0, 1.5), (0.0, 3.0, 1.0))], UP)
+    assert all(lamp[1] < 3.0 for lamp in stage.lamps)
+
+
+@pytest.mark.parametrize("target", [0.2, 1.0, 2.0])
+def test_a_made_up_lamp_goes_no_farther_than_it_gains(target: float) -> None:
+    """Under a rough ceiling that leaves no place a metre of room."""
+    room = trimesh.creation.box(bounds=[[-3.0, -4.0, 0.0], [3.0, 4.0, 1.9]]).subdivide_to_size(0.2)
+    room.invert()
+    room.vertices += np.random.default_rng(0).normal(0.0, 0.005, room.vertices.shape)
+    stage = survey(RayCaster(room), [box_camera((0.1, -3.0, 1.2), (0.0, 0.0, target))], UP)
+    for place, lamp in zip(stage.points, stage.lamps, strict=True):
+        gained = clearance(room, lamp) - clearance(room, place)
+        assert np.linalg.norm(lamp - place) <= 3.0 * gained + 0.1
+        assert clearance(room, lamp) > 0.6
 
 
 def test_the_sun_falls_downwards_through_its_window(stages: dict[str, tuple]) -> None:
