@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import fit, select_frames, spread
-from hyjax.data.light_file import parse_lights, read_lights
+from hyjax.data.light_file import parse_lights, read_lights, write_lights
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.setup import LightSetup
@@ -351,6 +351,29 @@ def test_frames_size_and_mode_are_obeyed(wall: RayCaster, setup: LightSetup, tmp
     names = {entry.name for entry in tmp_path.iterdir()}
     assert names == {"f2.relit.png", "contact_sheet.png", "run.json", "lights.json"}
     assert read_image(tmp_path / "f2.relit.png").shape == (20, 20, 3)
+
+
+def test_dark_frames_name_the_file_of_the_lights(
+    wall: RayCaster, setup: LightSetup, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    dim, options = (
+        dataclasses.replace(setup, reference_lux=5e4),
+        {"frames": "2", "size": (20, 20), "shadows": False},
+    )
+    relight(wall, dim, tmp_path / "out", paper_mode=True, **options)
+    write_lights(tmp_path / "dim.json", dim)
+    scene = Scene(Corner(), wall.mesh, size=(20, 20))
+    given = RelightSettings(
+        lights=str(tmp_path / "dim.json"),
+        frames="2",
+        shadows=False,
+        paper_mode=True,
+        quiet=True,
+        out=tmp_path / "out",
+    )
+    relight_capture(given, scene=scene, schedule=SCHEDULE)
+    first, second = (record.message for record in caplog.records if "nearly black" in record.message)
+    assert "of 5e+04 into lights.json, and give that" in first and f"into {tmp_path / 'dim.json'}, and" in second
 
 
 def test_all_frames_without_surface_is_an_error(wall: RayCaster, setup: LightSetup, tmp_path: Path) -> None:

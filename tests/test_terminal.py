@@ -109,6 +109,10 @@ def test_help_beside_a_long_argument_comes_once(
             "Unrecognized options: --lihgts, night; perhaps --lights",
         ),
         (
+            ["relight", "--light", "night"],
+            "Unrecognized options: --light, night; perhaps --lights",
+        ),
+        (
             ["relight", "--seed", "x"],
             "Error parsing --seed: invalid literal for int() with base 10: 'x'",
         ),

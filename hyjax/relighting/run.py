@@ -17,7 +17,7 @@ from hyjax.configuration import PRESETS, Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Capture
 from hyjax.data.frames import select_frames
-from hyjax.data.light_file import write_lights
+from hyjax.data.light_file import is_light_file, write_lights
 from hyjax.guide.choose import FrameGuide, configured_guide
 from hyjax.light.kinds import Light, kind_name
 from hyjax.light.setup import LightSetup
@@ -196,7 +196,8 @@ def relight_run(
         ):
             _log.warning("%s: %s", scene.capture.name, scene.photo_light.summary(scene.photo_light.estimate))
         if not settings.each_light and str(settings.lights if lights is None else lights) not in DARK_SETUPS:
-            tell_of_darkness(summary, setup)
+            given = isinstance(asked, str | Path) and is_light_file(str(asked))
+            tell_of_darkness(summary, setup, str(asked) if given else "lights.json")
         write_contact_sheet(out / "contact_sheet.png", summary.rows, HEADINGS)
         write_lights(out / "lights.json", setup)
         run = {
@@ -237,18 +238,19 @@ def tell_of_another_device(configuration: Configuration) -> None:
         )
 
 
-def tell_of_darkness(summary: "_Summary", setup: LightSetup) -> None:
-    """Log frames that ended nearly black, and a remedy."""
+def tell_of_darkness(summary: "_Summary", setup: LightSetup, file: str) -> None:
+    """Log frames that ended nearly black, and a remedy in the file of the lights."""
     if not summary.dark:
         return
     names = ", ".join(summary.dark[:3]) + (", …" if len(summary.dark) > 3 else "")
     _log.warning(
         "%d of %d frames end nearly black (%s): little light of the set-up reaches what they show; write nearer "
-        "lights, more ambient light or less than its reference_lux of %.3g into lights.json, and give that",
+        "lights, more ambient light or less than its reference_lux of %.3g into %s, and give that",
         len(summary.dark),
         len(summary.written),
         names,
         float(setup.reference_lux),
+        file,
     )
 
 

@@ -74,7 +74,7 @@ def aligned(capture: Capture, settings: FusionSettings, progress: bool = True) -
     except InputError as error:
         _log.warning("%s: poses are taken as they are: %s", capture.name, error)
         return capture
-    if corrections is None:
+    if not len(corrections):
         _say_unaligned(capture, settings, "neighbouring pictures and depth maps agree no better by aligned ones")
         return capture
     return AlignedCapture(capture, np.array(plan.indices[::2]), corrections)
@@ -86,11 +86,11 @@ def _say_unaligned(capture: Capture, settings: FusionSettings, reason: str) -> N
     _log.log(level, "%s: poses are taken as they are: %s", capture.name, reason)
 
 
-def _corrections(count: int, arrays: Arrays) -> Float[np.ndarray, "n 4 4"] | None:
+def _corrections(count: int, arrays: Arrays) -> Float[np.ndarray, "n 4 4"]:
     corrections = arrays["corrections"]
     if corrections.shape not in ((0, 4, 4), (count, 4, 4)) or not np.all(np.isfinite(corrections)):
         raise ValueError("not the corrections of these depth maps")
-    return corrections if len(corrections) else None
+    return corrections
 
 
 def _align(capture: Capture, plan: FusionPlan, progress: bool) -> Arrays:

@@ -4,14 +4,18 @@ import errno
 import itertools
 import logging
 import os
+import re
 import sys
 import warnings
+from difflib import SequenceMatcher
 from typing import Any
 
 from hyjax.util.errors import one_line
 
 LONGEST_USAGE_ERROR = 400
 """Characters of a message about the command line."""
+OPTION_PATTERN = re.compile(r"--[\w-]+")
+"""Name of an option in such a message."""
 
 
 class OneLine(logging.Formatter):
@@ -60,7 +64,7 @@ def _show(message: Warning | str, *_: Any, **__: Any) -> None:
 
 
 def usage_error(box: str) -> str:
-    """Line of a usage error that tyro has drawn as a box, with the first option that it takes for meant.
+    """Line of a usage error that tyro has drawn as a box, with the likest of the options that it takes for meant.
 
     Example:
         >>> usage_error("title\\n--\\n Unrecognized options: --lihgt \\n --\\n Perhaps you meant:\\n  --lights STR")
@@ -72,7 +76,9 @@ def usage_error(box: str) -> str:
     line = one_line(said, LONGEST_USAGE_ERROR).rstrip(".")
     for text in more:
         if text.startswith("Perhaps you meant"):
-            line += f"; perhaps {next(word for word in text.split() if word.startswith('--'))}"
+            given, *_ = OPTION_PATTERN.findall(said) or [""]
+            likest = max(OPTION_PATTERN.findall(text), key=lambda name: SequenceMatcher(None, name, given).ratio())
+            line += f"; perhaps {likest}"
         elif text.startswith("Available subcommands"):
             line += f"; {text[0].lower()}{text[1:]}"
     return f"{line}; see hyjax --help"

@@ -101,8 +101,10 @@ def test_pictures_agree_better_by_aligned_poses() -> None:
 
 
 @pytest.mark.parametrize("pattern", [False, True])
-def test_poses_without_drift_stay(pattern: bool) -> None:
+def test_poses_without_drift_stay(pattern: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     capture = Drifting(0.0, pattern=pattern)
+    assert aligned(capture, FusionSettings(), progress=False) is capture
+    monkeypatch.setattr(alignment, "_align", lambda *_: pytest.fail("that they stay is kept"))
     assert aligned(capture, FusionSettings(), progress=False) is capture
 
 
