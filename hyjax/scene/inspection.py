@@ -1,6 +1,7 @@
 """Inspection of a capture: its content, the agreement of its parts, and doubts."""
 
 import dataclasses
+import functools
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,6 +27,8 @@ SAMPLE_COUNT = 12
 """Number of frames and depth maps to read."""
 MOST_PLAN_POINTS = 20_000
 """Points of the surface in the plan, at most."""
+SPAN_QUANTILES = (0.01, 0.99)
+"""Quantiles of the surface's coordinates that its range is told by: single wrong readings lie far away."""
 SHOWN_COUNT, SHOWN_LENGTH = 4, 480
 """Number of frames in the picture of an inspection, and the least longer side that they are kept at, in pixels."""
 LONGEST_STEP = 1.0
@@ -88,6 +91,22 @@ class Inspection:
         """Length of the camera's path in metres."""
         return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=1).sum())
 
+    @functools.cached_property
+    def surface_points(self) -> Float[np.ndarray, "n 3"]:
+        """Points of the surface by the depth maps that were read, or of the mesh; none without either."""
+        points = np.zeros((0, 3))
+        if self.quantiles is not None:
+            settings = FusionSettings()
+            plan = plan_fusion(self.capture, settings)
+            readings = Readings(self.capture, spread(plan.indices, SAMPLE_COUNT), settings.confidence)
+            near = [
+                camera.unproject(depth)[(depth > NEAR_LIMIT) & (depth < plan.far)] for depth, camera, _ in readings
+            ]
+            points = np.concatenate(near)
+        elif self.mesh is not None:
+            points = np.asarray(self.mesh.vertices)
+        return points[:: max(1, len(points) // MOST_PLAN_POINTS)]
+
     def lines(self) -> Iterator[tuple[str, str]]:
         """Names and values, for people."""
         capture, count = self.capture, len(self.capture)
@@ -98,8 +117,9 @@ class Inspection:
         if self.exposures:
             low, high = (1e3 * f(self.exposures) for f in (min, max))
             yield "exposure", f"{low:.3g} to {high:.3g} ms"
-        extent = np.ptp(self.positions, axis=0)
-        yield "camera path", f"{self.path_length:.3g} m within {' x '.join(f'{e:.2g}' for e in extent)} m"
+        yield "camera path", f"{self.path_length:.3g} m within {_span(self.positions)}"
+        if len(self.surface_points):
+            yield "surface", _span(np.quantile(self.surface_points, SPAN_QUANTILES, axis=0))
         yield "up", " ".join(f"{x:.3f}" for x in capture.up)
         if self.depth_size is None or self.coverage is None or self.quantiles is None:
             yield "depth", "none"
@@ -239,21 +259,11 @@ def relight_command(path: Path | None, capture: Capture, *, scale: float | None 
 
 def points_from_above(inspection: Inspection) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "m 2"]]:
     """Plan of surface points and camera positions: metres along two horizontal axes."""
-    capture = inspection.capture
-    x, y, _ = orthonormal_frame(capture.up)
-    points = np.zeros((0, 3))
-    if inspection.quantiles is not None:
-        settings = FusionSettings()
-        plan = plan_fusion(capture, settings)
-        points = np.concatenate(
-            [
-                camera.unproject(depth)[(depth > NEAR_LIMIT) & (depth < plan.far)]
-                for depth, camera, _ in Readings(capture, spread(plan.indices, SAMPLE_COUNT), settings.confidence)
-            ]
-        )
-    elif inspection.mesh is not None:
-        points = np.asarray(inspection.mesh.vertices)
-    points = points[:: max(1, len(points) // MOST_PLAN_POINTS)]
-    return np.stack([points @ x, points @ y], -1), np.stack(
-        [inspection.positions @ x, inspection.positions @ y], -1
-    )
+    axes = orthonormal_frame(inspection.capture.up)[:2].T
+    return inspection.surface_points @ axes, inspection.positions @ axes
+
+
+def _span(points: Float[np.ndarray, "n 3"]) -> str:
+    """Range of points along each axis, in words."""
+    lows, highs = points.min(axis=0), points.max(axis=0)
+    return ", ".join(f"{axis} {low:.2f} to {high:.2f}" for axis, low, high in zip("xyz", lows, highs)) + " m"
