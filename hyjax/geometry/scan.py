@@ -93,7 +93,7 @@ class PosedDepths(Protocol):
 
 
 class RenderedDepths:
-    """Depth maps of a true mesh, each rendered when first asked for."""
+    """Depth maps of a true mesh, each rendered when first asked for, and kept."""
 
     def __init__(self, mesh: trimesh.Trimesh, cameras: Sequence[Camera]) -> None:
         self._caster, self._cameras = RayCaster(mesh), cameras

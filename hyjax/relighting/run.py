@@ -195,7 +195,7 @@ def relight_run(
             and scene.photo_light.estimate.exponent
         ):
             _log.warning("%s: %s", scene.capture.name, scene.photo_light.summary(scene.photo_light.estimate))
-        if not settings.each_light and str(settings.lights if lights is None else lights) not in DARK_SETUPS:
+        if not settings.each_light and str(asked) not in DARK_SETUPS:
             given = isinstance(asked, str | Path) and is_light_file(str(asked))
             tell_of_darkness(summary, setup, str(asked) if given else "lights.json")
         write_contact_sheet(out / "contact_sheet.png", summary.rows, HEADINGS)

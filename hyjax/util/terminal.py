@@ -1,5 +1,6 @@
 """Messages of commands on stderr: one line each, without the libraries' own."""
 
+import difflib
 import errno
 import itertools
 import logging
@@ -7,7 +8,6 @@ import os
 import re
 import sys
 import warnings
-from difflib import SequenceMatcher
 from typing import Any
 
 from hyjax.util.errors import one_line
@@ -77,8 +77,7 @@ def usage_error(box: str) -> str:
     for text in more:
         if text.startswith("Perhaps you meant"):
             given, *_ = OPTION_PATTERN.findall(said) or [""]
-            likest = max(OPTION_PATTERN.findall(text), key=lambda name: SequenceMatcher(None, name, given).ratio())
-            line += f"; perhaps {likest}"
+            line += f"; perhaps {difflib.get_close_matches(given, OPTION_PATTERN.findall(text), 1, 0.0)[0]}"
         elif text.startswith("Available subcommands"):
             line += f"; {text[0].lower()}{text[1:]}"
     return f"{line}; see hyjax --help"
