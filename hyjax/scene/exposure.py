@@ -16,7 +16,7 @@ LARGEST_FILTER, LARGEST_FILTER_IN_SUN = 1.6, 3.5
 MOST_BURNT = 0.1
 """Largest share of the surface in a picture that burns out, but for what the photo itself has that bright."""
 DIMMINGS = 8
-"""Number of times that sun, least bounces and exposure are brought in line with each other."""
+"""Most times that sun, least bounces and exposure are brought in line with each other."""
 MOST_FILLED, FILL_STEPS = 0.85, 16
 """Most light that bounces are filled up to, over that of the median picture; number of steps that are tried."""
 DAY_BRIGHTNESS, LARGEST_LIFT = 0.12, 1.8
@@ -76,8 +76,10 @@ def exposed(
         least = max(float(np.quantile(values / response.photo_light, 0.95)) / most for values, most in bounds)
         least = max(least, _least_unburnt(shade, seen, response))
         median = float(np.median(seen.of_cameras(bright / response.photo_light)))
-        reference = max(median / exposure.share, least, 1e-3)
+        before, reference = (reference, *sun), max(median / exposure.share, least, 1e-3)
         sun = np.where(parallel, np.minimum(1.0, lift * exposure.sun * reference / brightest), 1.0)
+        if (reference, *sun) == before:
+            break
 
     ambient = exposure.ambient
     if response.measured:

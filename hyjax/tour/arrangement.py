@@ -38,7 +38,7 @@ from hyjax.light.shaded import Shaded
 from hyjax.light.shading import shade_each
 from hyjax.light.shadow_map import ShadowMap, visibility
 from hyjax.light.view import View
-from hyjax.pipeline import refine_illuminance
+from hyjax.pipeline import refine_illuminance, refine_visibility
 from hyjax.scene.photo_light import ScenePhotoLight
 from hyjax.scene.relighter import casters, scaled
 from hyjax.scene.settings import Occluders
@@ -91,6 +91,7 @@ class Arrangement:
         cancelled: Callable[[], bool] = lambda: False,
     ) -> None:
         self.parts, self.coarse = scene.apply(plan), False
+        self._visible: tuple[Hashable, ...] = ()  # key of the visibility of what was shaded last
         self._scene, self._caches, self._photo, self._configuration = scene, caches, photo, configuration
         self._draft, self._cancelled, shadows = draft, cancelled, configuration.shadows
         self._sampling, self._map_size = configuration.light.sampling, (shadows.map_scale, shadows.views)
@@ -200,13 +201,22 @@ class Arrangement:
         bounces = light is not None and light.bounced is not None
         uniform = [lamp for lamp in setup.lights if lamp.UNIFORM]
         casting = casters(self, setup.lights, self._configuration.shadows.least_share)
-        layers = [
-            (setup.lights[place], self._layer(setup.lights[place], samples, key, casting[place]))
-            for place in direct_channels(setup.lights, bounces)
-        ]
+        direct = direct_channels(setup.lights, bounces)
+        lit = [setup.lights[place] for place in direct]
+        made = [self._layer(setup.lights[place], samples, key, casting[place]) for place in direct]
+        self._visible = *(name for name, _ in made), *(float(getattr(lamp, lamp.STRENGTH)) > 0 for lamp in lit)
+        layers = [(lamp, layer) for lamp, (_, layer) in zip(lit, made, strict=True)]
         shaded = stack_layers(layers, uniform, samples.hit, setup.reference_lux)
         indirect = None if light is None else indirect_on_pixels(light, samples)
         return dataclasses.replace(shaded, bounced=indirect, sampling=self._sampling)
+
+    def run(self, function: Callable[..., Any], *arrays: Any, **static: Any) -> Any:
+        """Result of a stage of the refinement; brightness and colour leave that of the shadow pass as it was."""
+        if function is not refine_visibility:
+            return run_kept(function, *arrays, **static)
+        *_, schedule = arrays
+        key = "visible", self._visible, schedule.to_json()
+        return self._caches.frames(key, lambda: jax.block_until_ready(run_kept(function, *arrays)))
 
     def is_coarse(self, light: Light, scale: float = 1.0, most_views: int | None = None) -> bool:
         """Whether a draft takes coarse shadow maps of a light, as there are no fine ones yet."""
@@ -215,9 +225,12 @@ class Arrangement:
         geometry = geometry_key(light)
         return not all((geometry, key, scale, most_views, False) in self._caches.maps for key in self.parts.keys)
 
-    def _layer(self, light: Light, samples: GBuffer, key: Hashable, casts: bool) -> Layer:
-        """Illuminance of a light of strength 1, and its visibility."""
-        size, interleave = self._map_size, self._sampling
+    def _layer(self, light: Light, samples: GBuffer, key: Hashable, casts: bool) -> tuple[Hashable, Layer]:
+        """Illuminance of a light of strength 1, and its visibility, with their key.
+
+        Without a key nothing is kept, and each sample has all of a soft shadow: no cascade joins it with others.
+        """
+        size, interleave = self._map_size, 1 if key is None else self._sampling
         name = geometry_key(light), key, self.parts.keys, casts
         coarse = casts and (name, False) not in self._caches.layers and self.is_coarse(light, *size)
         self.coarse |= coarse
@@ -229,7 +242,7 @@ class Arrangement:
                 (lux, run_kept(visibility, samples, unit, shadow_map, interleave=interleave))
             )
 
-        return make() if key is None else self._caches.layers((name, coarse), make)
+        return (name, coarse), make() if key is None else self._caches.layers((name, coarse), make)
 
     def _shadow_map(self, light: Light, size: tuple[float, int | None], coarse: bool) -> ShadowMap | None:
         """Shadow map that all parts cast together."""

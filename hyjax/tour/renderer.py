@@ -30,7 +30,7 @@ from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
 from hyjax.scene.light_places import survey_capture
-from hyjax.scene.relighter import LitFrame, Relighter, configured_light
+from hyjax.scene.relighter import LitFrame, Relighter, configured_light, refine
 from hyjax.scene.scene import Scene
 from hyjax.tour.arrangement import Arrangement
 from hyjax.tour.editable_scene import EditableScene
@@ -51,6 +51,7 @@ from hyjax.tour.uncovered import (
     GREY,
     Source,
     extend_planes,
+    row_of_pixels,
     scanned_points,
     seen_elsewhere,
     uncovered_pixels,
@@ -217,8 +218,8 @@ class Renderer:
                 lambda: jax.block_until_ready(dataclasses.replace(relighter.view(frame), gbuffer=nothing)),
             )
             view = dataclasses.replace(pixels, gbuffer=relighter.gbuffer(frame.camera))
-        stages = relighter.stages(frame, view=view)
-        lit: LitFrame = clock.follow(stages, until="guide")
+        lit: LitFrame = clock.follow(relighter.stages(frame, view=view), until="guide")
+        stages = refine(lit, configuration, run=own.run)
         result = clock.follow(stages, until=None if viewpoint.shown in COMPARED_STAGES else "composite")
         unseen = False
         if plan.pieces and not isinstance(result, Relit):
@@ -268,12 +269,16 @@ class Renderer:
                 ("source", number), lambda: Source.of(functools.partial(self.frame, number), caster)
             ),
         )
-        divisor = 1.0 if light is None else np.asarray(on_pixels(light.photo_light, light.faces, now))[chosen]
-        reflectance = np.zeros((*chosen.shape, 3), np.float32)
-        reflectance[chosen] = np.where((seen & scanned)[:, None], color / divisor, GREY)
-        shaded = own.shade_samples(now, setup, light)
-        lit = _lit(shaded, jnp.asarray(reflectance), setup.reference_lux)
-        return jnp.where(jnp.asarray(chosen)[..., None], lit, relit), bool((~seen & scanned).mean() > LEAST_UNSEEN)
+        row, count = row_of_pixels(now, chosen), len(seen)
+        divisor = np.ones((1, count, 1))
+        if light is not None:
+            divisor = np.asarray(on_pixels(light.photo_light, light.faces, row))[:, :count]
+        reflectance = np.zeros((*row.hit.shape, 3), np.float32)
+        reflectance[:, :count] = np.where((seen & scanned)[:, None], color / divisor, GREY)
+        lit = _lit(own.shade_samples(row, setup, light), reflectance, setup.reference_lux)
+        picture = np.array(relit)
+        picture[chosen] = np.asarray(lit)[0, :count]
+        return jnp.asarray(picture), bool((~seen & scanned).mean() > LEAST_UNSEEN)
 
     def _free(
         self, plan: TourPlan, camera: Camera, shown: Shown, draft: bool, cancelled: Callable[[], bool]

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from hyjax.data.capture import Frame
@@ -27,10 +27,14 @@ GREY = 0.18
 """Linear value, under the light of the photo, of what no frame saw."""
 LEAST_STEP = 0.02
 """Metres between places of the scan in a pixel from which they are two."""
+SAME_WEIGHT = 1e-4
+"""Difference of the weights of a triangle's corners up to which two places in it are one."""
 MARGIN = 1 / 200
 """Width, over that of the picture, of the rim that is drawn anew, too: edges of photo and scan differ."""
 MOST_FRAMES = 6
 """Most frames that pixels are taken of."""
+RANKED_STEP = 8
+"""Step between the points by which frames are ranked."""
 SLACK, OFFSET = 1.03, 0.03
 """Factor on the depth of a pixel, and metres, within which it shows a point."""
 STEP = 0.1
@@ -42,8 +46,11 @@ def uncovered_pixels(now: GBuffer, scanned: GBuffer, caster: RayCaster) -> Bool[
     hit, was_hit = np.asarray(now.hit), np.asarray(scanned.hit)
     of_scan = hit & was_hit & (np.asarray(now.face) >= 0)
     changed = (hit | was_hit) & ~of_scan
-    points, _ = scanned_points(now, of_scan, caster)
-    changed[of_scan] = np.linalg.norm(points - np.asarray(scanned.position)[of_scan], axis=1) > LEAST_STEP
+    first, second, _ = np.moveaxis(np.abs(np.asarray(now.barycentric) - np.asarray(scanned.barycentric)), -1, 0)
+    alike = (np.asarray(now.face) == np.asarray(scanned.face)) & (first < SAME_WEIGHT) & (second < SAME_WEIGHT)
+    other = of_scan & ~alike
+    points, _ = scanned_points(now, other, caster)
+    changed[other] = np.linalg.norm(points - np.asarray(scanned.position)[other], axis=1) > LEAST_STEP
     return ndimage.binary_dilation(changed, iterations=max(1, round(MARGIN * changed.shape[1])))
 
 
@@ -76,6 +83,15 @@ def extend_planes(
     arrays["normal"][holes], arrays["depth"][holes] = normals[first[met]], nearest[met]
     arrays["hit"] |= holes
     return dataclasses.replace(now, **jax.device_put(arrays))
+
+
+def row_of_pixels(gbuffer: GBuffer, chosen: Bool[np.ndarray, "h w"]) -> GBuffer:
+    """Chosen pixels in one row, filled up by misses to a power of two, so that few sizes are compiled for."""
+    pixels = np.flatnonzero(chosen)
+    row = np.zeros(1 << max(0, len(pixels) - 1).bit_length(), int)
+    row[: len(pixels)] = pixels
+    taken = jax.tree.map(lambda x: np.asarray(x).reshape(-1, *x.shape[2:])[None, row], gbuffer)
+    return dataclasses.replace(taken, hit=taken.hit & (np.arange(len(row)) < len(pixels)))
 
 
 def scanned_points(
@@ -126,30 +142,37 @@ def seen_elsewhere(
     Args:
         source: a frame by its number; None if it cannot be read, and the next is taken.
     """
-    total, weight = np.zeros((len(points), 3)), np.zeros(len(points))
-    views = {}
-    for number, camera in cameras.items():
-        pixels, depth = camera.project(points)
-        far = np.array(camera.intrinsics.shape[::-1]) - 0.5
-        inside = (depth > 0) & ((pixels > 0.5) & (pixels < far)).all(axis=1)
-        to = camera.origin - points
-        distance = np.maximum(np.linalg.norm(to, axis=1), 0.1)
-        slope = np.abs(np.einsum("nk,nk->n", normals, to)) / distance
-        # To a power: the best frame rules, and the next take over gradually.
-        views[number] = pixels[:, ::-1] - 0.5, depth, np.where(inside, (slope / distance) ** 4, 0.0)
-    left = MOST_FRAMES
-    for number in sorted(views, key=lambda k: -float(np.sqrt(views[k][2]).sum())):
-        places, depth, worth = views[number]
-        if not left or not worth.any():
+    total, weight, left = np.zeros((len(points), 3)), np.zeros(len(points)), MOST_FRAMES
+
+    def worth_of(number: int) -> float:
+        return float(np.sqrt(_views(points[::RANKED_STEP], normals[::RANKED_STEP], cameras[number])[-1]).sum())
+
+    for number in sorted(cameras, key=worth_of, reverse=True):
+        inside, places, depth, worth = _views(points, normals, cameras[number])
+        if not left:
             break
-        if (of := source(number)) is None:
+        if not worth.any() or (of := source(number)) is None:
             continue
         left -= 1
-        chosen = np.flatnonzero(worth)
-        rows, columns = np.round(places[chosen]).astype(int).T
-        chosen = chosen[depth[chosen] < of.depth[rows, columns]]
-        colors = [ndimage.map_coordinates(of.picture[..., k], places[chosen].T, order=1) for k in range(3)]
-        total[chosen] += worth[chosen, None] * np.stack(colors, axis=-1)
-        weight[chosen] += worth[chosen]
+        rows, columns = np.round(places).astype(int).T
+        shown = (depth < of.depth[rows, columns]) & (worth > 0)
+        chosen, places, worth = inside[shown], places[shown], worth[shown]
+        colors = [ndimage.map_coordinates(of.picture[..., k], places.T, order=1) for k in range(3)]
+        total[chosen] += worth[:, None] * np.stack(colors, axis=-1)
+        weight[chosen] += worth
     seen = weight > 0
     return total / np.where(seen, weight, 1.0)[:, None], seen
+
+
+def _views(
+    points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], camera: Camera
+) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m 2"], Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
+    """Points that a camera has in view: their numbers, rows and columns, depths, and how well it sees them."""
+    pixels, depth = camera.project(points)
+    far = np.array(camera.intrinsics.shape[::-1]) - 0.5
+    inside = np.flatnonzero((depth > 0) & ((pixels > 0.5) & (pixels < far)).all(axis=1))
+    to = camera.origin - points[inside]
+    distance = np.maximum(np.linalg.norm(to, axis=1), 0.1)
+    slope = np.abs(np.einsum("nk,nk->n", normals[inside], to)) / distance
+    # To a power: the best frame rules, and the next take over gradually.
+    return inside, pixels[inside, ::-1] - 0.5, depth[inside], (slope / distance) ** 4

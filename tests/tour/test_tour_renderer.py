@@ -24,6 +24,7 @@ from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.color import to_display
 from hyjax.light.kinds import DirectionalLight, PointLight
 from hyjax.metrics.psnr import psnr
+from hyjax.pipeline import refine_visibility
 from hyjax.scene.occluders import complete
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
@@ -165,6 +166,34 @@ def test_nothing_is_cast_twice(renderer: Renderer, plan: TourPlan, cast: list[An
     elsewhere = replace(dimmer, position=(0.0, 0.0, 1.0))
     renderer.render(replace(plan, lamps=(elsewhere,)), VIEW)
     assert len(cast) == 1, "only of the lamp that moved"
+
+
+def test_brightness_leaves_the_shadow_pass_and_a_place_does_not(
+    renderer: Renderer, plan: TourPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kept visibility gives the picture of a renderer that has kept nothing."""
+    passes: list[Any] = []
+    real = arrangement_module.run_kept
+
+    def counted(function: Any, *arrays: Any, **static: Any) -> Any:
+        passes.extend([function] if function is refine_visibility else [])
+        return real(function, *arrays, **static)
+
+    monkeypatch.setattr(arrangement_module, "run_kept", counted)
+    (lamp,) = plan.lamps
+    changes = (
+        (replace(lamp, lumen=100.0), 1),
+        (replace(lamp, lumen=900.0, kelvin=5000.0), 0),
+        (replace(lamp, lumen=0.0), 1),
+        (replace(lamp, position=(0.0, 0.0, 1.0)), 1),
+    )
+    renderer.forget_frames()
+    for changed, expected in changes:
+        passes.clear()
+        made = renderer.render(replace(plan, lamps=(changed,)), VIEW).linear
+        assert len(passes) == expected
+        fresh = Renderer(renderer.place, configuration=renderer.configuration)
+        np.testing.assert_array_equal(fresh.render(replace(plan, lamps=(changed,)), VIEW).linear, made)
 
 
 def test_a_picture_can_be_cancelled_and_its_shadow_maps_are_kept(
