@@ -86,6 +86,43 @@ null;
 """
 
 
+SHOWN_LIGHT = """async ([high, light]) => {
+  const [{ Display }, { openDevice }] = await Promise.all([import("./display.js"), import("./engine.js")]);
+  const page = await (await fetch("page.json")).json(), device = await openDevice();
+  [page.display, page.program] = [page.displays[0], page.programs[0]];
+  const [height, width] = page.size, { COPY_DST, MAP_READ, STORAGE } = GPUBufferUsage;
+  const { COPY_SRC, RENDER_ATTACHMENT } = GPUTextureUsage;
+  let texture, configured;
+  const context = {
+    configure(options) {
+      configured = options;
+      const { format } = options;
+      texture = device.createTexture({ size: [width, height], format, usage: RENDER_ATTACHMENT | COPY_SRC });
+    },
+    getCurrentTexture: () => texture,
+  };
+  const media = globalThis.matchMedia;
+  globalThis.matchMedia = (query) => (query === "(dynamic-range: high)" ? { matches: high } : media(query));
+  const display = await Display.create(device, { getContext: () => context }, page);
+  globalThis.matchMedia = media;
+  const buffer = (size, usage) => device.createBuffer({ size, usage });
+  const get = (all, name) => all[name] ??= buffer(16 * width * height, STORAGE | COPY_DST);
+  const buffers = new Proxy({}, { get });
+  device.queue.writeBuffer(buffers[page.program.names.image], 0, new Float32Array(4 * width * height).fill(light));
+  await display.draw({ buffers }, { stage: "result", wipe: 0, stops: 0, lights: [] });
+  const bytesPerRow = 256 * Math.ceil((8 * width) / 256);
+  const copy = buffer(bytesPerRow * height, COPY_DST | MAP_READ);
+  const encoder = device.createCommandEncoder();
+  encoder.copyTextureToBuffer({ texture }, { buffer: copy, bytesPerRow }, [width, height]);
+  device.queue.submit([encoder.finish()]);
+  await copy.mapAsync(GPUMapMode.READ);
+  const bytes = [...new Uint8Array(copy.getMappedRange(0, 8))];
+  devices.splice(devices.indexOf(device), 1); // others are counted
+  device.destroy();
+  return [configured.format, configured.toneMapping.mode, bytes];
+}"""
+
+
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     room = load_room(n_frames=3, width=96, height=72, quality=0.25, progress=False)
@@ -310,6 +347,18 @@ def test_the_picture_is_that_of_relight(visit: Visit, scene: Scene, setup: Light
     visit.page.evaluate("hyjax.goto(0)")
     stats = visit.page.evaluate("hyjax.stats()")
     assert stats["lights"] == 4 and stats["milliseconds"] > 0 and "cascade" in stats["passes"]
+
+
+@pytest.mark.slow
+def test_a_display_of_high_dynamic_range_shows_what_is_beyond_white(visit: Visit) -> None:
+    """Sunlit spots and lamps, up to four times white; others show white."""
+    for light, shown in ((0.5, 0.5), (3.0, 3.0), (9.0, 4.0)):
+        *how, values = visit.page.evaluate(SHOWN_LIGHT, [True, light])
+        assert how == ["rgba16float", "extended"]
+        encoded = np.frombuffer(bytes(values), np.float16)[:3].astype(float)
+        np.testing.assert_allclose(encoded, 1.055 * shown ** (1 / 2.4) - 0.055, atol=4e-3)
+    *how, values = visit.page.evaluate(SHOWN_LIGHT, [False, 9.0])
+    assert how[0].endswith("8unorm") and how[1] == "standard" and values[:3] == [255, 255, 255]
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from extras import need
+from msgspec.structs import replace
 
 need("tour")
 
@@ -222,9 +223,13 @@ def test_the_visitors_gpu_draws_what_the_server_draws(
     """One lamp at night, with small shadow maps: there is no GPU here but one made of software."""
     monkeypatch.setattr(page_files, "RESOLUTIONS", (128, 64))
     tour = opened(scene, tmp_path, "visitor")
-    tour.kept.keep(TourPlan(hour=0.0, lamps=(place_lamp("bulb", scene.mesh.bounds.mean(axis=0), UP),)))
+    candle = replace(place_lamp("candle", scene.mesh.bounds.mean(axis=0), UP), lumen=800.0)
+    tour.kept.keep(TourPlan(hour=0.0, lamps=(candle,)))
     try:
         page = Page(chromium, tour)
+        flames = [page.picture() for _ in range(4)]
+        assert any(0 < apart(flame, flames[0]) < 10 for flame in flames[1:]), "it flickers"
+        page.page.emulate_media(reduced_motion="reduce")
         assert "swiftshader" in page.page.evaluate("hyjax.stats().adapter").lower()
         wanted = tour.renderer.render(tour.kept.plan, Viewpoint(0, "relit", SCHEDULES["hyjax"])).linear
         assert apart(np.minimum(page.settled(), 1), np.minimum(wanted, 1)) < 5

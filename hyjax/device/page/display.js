@@ -1,6 +1,7 @@
 // The canvas: a stage of the frame, drawn by wgsl/display.wgsl.
 export const STAGES = ["result", "photo", "normals", "depth", "raw filter", "refined filter", "visibility"];
 const MOST_LIGHTS = 32;
+const MOST_LIGHT = 4; // linear value, over white, that displays of high dynamic range are given
 
 export class Display {
   /**
@@ -16,7 +17,10 @@ export class Display {
     display.pipeline = await device.createRenderPipelineAsync({
       layout: "auto",
       vertex: { module, entryPoint: "vertex" },
-      fragment: { module, entryPoint: "fragment", targets: [{ format: display.format }] },
+      fragment: {
+        module, entryPoint: "fragment", targets: [{ format: display.format }],
+        constants: { most_light: display.format === "rgba16float" ? MOST_LIGHT : 1 },
+      },
     });
     return display;
   }
@@ -33,10 +37,12 @@ export class Display {
         size: [width, height], format: this.format, usage: GPUTextureUsage.RENDER_ATTACHMENT | GPUTextureUsage.COPY_SRC,
       });
     } else {
-      this.format = navigator.gpu.getPreferredCanvasFormat();
+      const high = matchMedia("(dynamic-range: high)").matches;
+      this.format = high ? "rgba16float" : navigator.gpu.getPreferredCanvasFormat();
       this.context = canvas.getContext("webgpu");
       if (!this.context) throw new Error("The browser gave the page no WebGPU canvas.");
-      this.context.configure({ device, format: this.format, alphaMode: "opaque" });
+      const toneMapping = { mode: high ? "extended" : "standard" };
+      this.context.configure({ device, format: this.format, alphaMode: "opaque", toneMapping });
     }
     const uniform = (size) => device.createBuffer({ size, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
     this.shown = uniform(16);

@@ -37,6 +37,12 @@ export function planLamp({ entry, on }) {
   return lamp;
 }
 
+/** Factor on the light of a candle, a lamp of some number: `hyjax.tour.lighting`. */
+export function flicker(seconds, number) {
+  const t = seconds + 13.7 * number;
+  return 1 + 0.08 * Math.sin(9.1 * t) + 0.06 * Math.sin(14.3 * t + 1) + 0.05 * Math.sin(3.7 * t + 2);
+}
+
 /** Entry as a lights file has it, with the colour that the camera's white balance leaves. */
 export function fileEntry({ lamp, facing, temperature, ...entry }) {
   if (!lamp || entry.color) return entry; // also what comes from outside

@@ -51,19 +51,20 @@ function fallBack(viewer, error) {
   return true;
 }
 
-/** Let candles flicker where the server draws. */
+/** Let candles flicker. */
 function flicker(viewer) {
   const { lights } = viewer;
   const burning = lights.items.some(({ entry, on }) => entry.lamp === "candle" && on);
-  if (!burning || !viewer.usesServer || document.hidden || matchMedia("(prefers-reduced-motion)").matches) return;
-  viewer.seconds = performance.now() / 1e3;
-  viewer.dirty.display = true;
+  const seconds = matchMedia("(prefers-reduced-motion)").matches ? 0 : performance.now() / 1e3;
+  if (!burning || document.hidden || seconds === lights.seconds) return;
+  lights.seconds = seconds;
+  viewer.dirty[viewer.usesServer ? "display" : "flames"] = true;
 }
 
 /** All that the server draws from. */
 function state(viewer) {
   const { lights, frame, flying, stage, stops } = viewer;
-  const view = { frame, shown: SHOWN[stage] ?? stage, ...lights.refinement, seconds: viewer.seconds ?? 0 };
+  const view = { frame, shown: SHOWN[stage] ?? stage, ...lights.refinement, seconds: lights.seconds };
   if (flying) {
     const { right, down, forward, origin } = flying.camera;
     view.camera = [right, down, forward, origin];

@@ -1,7 +1,7 @@
 // Lights of a tour: its plan (hyjax/tour/plan.py) as the list of lights that the page shows, and back.
 import { LightList } from "./light_list.js";
 import { MOST_LIGHTS } from "./lights.js";
-import { balanced, fileEntry, lampEntry, planLamp } from "./plan.js";
+import { balanced, fileEntry, flicker, lampEntry, planLamp } from "./plan.js";
 
 const NAMES = { bulb: "Bulb", spot: "Spot", candle: "Candle", strip: "Strip" };
 const USUAL = 2700; // kelvin by which a lamp counts that was given a colour
@@ -10,6 +10,8 @@ const DARK = { lights: [], lumen: 0, kelvin: USUAL, lux: 0 };
 const UNREFINED = { schedule: "", kappa: 0, steps: 1 };
 
 export class TourLights extends LightList {
+  seconds = 0; // that candles have flickered; 0 where they burn steadily
+
   /** Take a plan. */
   reset(plan) {
     const { server, setup } = this.page;
@@ -81,14 +83,22 @@ export class TourLights extends LightList {
 
   activeEntries() {
     const { illuminance, color } = this.ambient;
-    return [...super.activeEntries().map(fileEntry), { kind: "ambient", illuminance, color }];
+    const own = super.activeEntries().map((entry) => fileEntry(this.burning(entry)));
+    return [...own, { kind: "ambient", illuminance, color }];
+  }
+
+  /** Entry as bright as it is now: candles flicker, once `seconds` go on. */
+  burning(entry) {
+    if (entry.lamp !== "candle" || !this.seconds) return entry;
+    const number = this.items.findIndex((item) => item.entry === entry);
+    return { ...entry, luminous_flux: entry.luminous_flux * flicker(this.seconds, number) };
   }
 
   /** Light that the room throws back, of everything that is on: `hyjax.tour.lighting.Lighting`. */
   get ambient() {
     const { walls, surface_area: area, least_ambient: least } = this.page.sun;
     const flux = this.items.filter(({ on, entry }) => on && entry.luminous_flux > 0)
-      .map(({ entry }) => [entry.luminous_flux, entry.temperature ?? USUAL]);
+      .map(({ entry }) => [this.burning(entry).luminous_flux, entry.temperature ?? USUAL]);
     flux.push([this.row.lumen, this.row.kelvin]);
     const total = flux.reduce((sum, [lumen]) => sum + lumen, 0);
     const kelvin = total > 0 ? flux.reduce((sum, [lumen, k]) => sum + lumen * k, 0) / total : 4000;

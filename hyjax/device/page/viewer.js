@@ -89,7 +89,7 @@ export class Viewer extends EventTarget {
     this.dispatchEvent(new CustomEvent("failure", { detail: error }));
   }
 
-  /** What has changed: any of "lights", "camera", "display". */
+  /** What has changed: any of "lights", "camera", "display"; the flames of candles change by themselves. */
   change(...names) {
     for (const name of names) this.dirty[name] = true;
     this.dispatchEvent(new Event("change"));
@@ -120,7 +120,7 @@ export class Viewer extends EventTarget {
           this.renderer.refine();
           this.dirty.display = true;
         }
-        if (this.isDirty) await this.draw(now);
+        if (this.isDirty || this.dirty.flames) await this.draw(now);
       } catch (error) {
         // What fails because the device is lost is for `lost` to mend, which may hear of it a little later.
         await Promise.race([device?.lost, new Promise((done) => { setTimeout(done, LOST_WITHIN); })]);
@@ -153,7 +153,7 @@ export class Viewer extends EventTarget {
       renderer.setCamera(camera, bitmap);
     }
     if (dirty.lights || dirty.camera) this.reach = null;
-    if (dirty.lights && (await renderer.setLights(this.lights.setup()))) this.moved = now;
+    if ((dirty.lights || dirty.flames) && (await renderer.setLights(this.lights.setup()))) this.moved = now;
     const timed = renderer.busy && now - (this.timed ?? -1e9) > TIMED_EVERY;
     const rendered = renderer.busy;
     if (rendered) await renderer.run({ timed });
