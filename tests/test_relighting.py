@@ -24,6 +24,7 @@ from hyjax.data.light_file import parse_lights, read_lights, write_lights
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.setup import LightSetup
+from hyjax.metrics.dark_share import dark_share
 from hyjax.relighting.ahead import EvenlyLitPlace
 from hyjax.relighting.run import relight_capture
 from hyjax.relighting.settings import RelightSettings
@@ -374,6 +375,20 @@ def test_dark_frames_name_the_file_of_the_lights(
     relight_capture(given, scene=scene, schedule=SCHEDULE)
     first, second = (record.message for record in caplog.records if "nearly black" in record.message)
     assert "of 5e+04 into lights.json, and give that" in first and f"into {tmp_path / 'dim.json'}, and" in second
+
+
+def test_frames_that_burn_out_are_said(
+    wall: RayCaster, setup: LightSetup, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Not under usual light, nor where the photo is as bright."""
+    options = {"frames": "2", "size": (20, 20)}
+    for reference, bright in ((1e-3, ["f2"]), (setup.reference_lux, [])):
+        caplog.clear()
+        lights = dataclasses.replace(setup, reference_lux=reference)
+        assert relight(wall, lights, tmp_path, **options)["frames_too_bright"] == bright
+        assert ("1 of 1 frames burn out where the photo did not (f2)" in caplog.text) == bool(bright)
+    white = np.ones((20, 20, 3), np.float32)
+    assert not dark_share(white, white).too_bright
 
 
 def test_all_frames_without_surface_is_an_error(wall: RayCaster, setup: LightSetup, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from hyjax import cli
 from hyjax.relighting.settings import RelightSettings
+from hyjax.util.progress import command_bar
 from hyjax.util.terminal import OneLine, quiet_libraries
 
 INTERRUPTED_WHILE_LOADING = """
@@ -165,3 +166,18 @@ def test_warnings_are_one_line_and_those_of_numbers_none(
         warnings.warn("invalid value encountered in divide", RuntimeWarning, stacklevel=1)
         warnings.warn("a\nb", UserWarning, stacklevel=1)
     assert capsys.readouterr().err == "hyjax: a\\nb\n"
+
+
+def test_messages_stand_above_a_bar(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+    with warnings.catch_warnings():
+        quiet_libraries()
+    with command_bar("relighting", "frame", disable=False) as bar:
+        assert bar is not None
+        for number in bar.count(iter(range(2)), 2):
+            logging.getLogger("hyjax").warning("frame %d is odd", number)
+    lines = capsys.readouterr().err.split("\n")
+    assert [line.rsplit("\r", 1)[-1] for line in lines[:2]] == [
+        "hyjax: frame 0 is odd",
+        "hyjax: frame 1 is odd",
+    ]

@@ -9,6 +9,8 @@ BLACK_VALUE, BURNT_VALUE = 0.1, 0.97
 """Display values, means of the channels, below which a pixel is nearly black, and from which it is burnt out."""
 MOST_BLACK, MOST_BLACK_BEFORE = 0.3, 0.1
 """Share of nearly black pixels from which a relit picture is too dark, where the photo has less than the second."""
+MOST_BURNT_ANEW = 0.1
+"""Share of burnt-out pixels, over that of the photo, from which a relit picture is too bright."""
 STRIDE = 2
 """Step of the sampled pixels along rows and columns."""
 
@@ -31,6 +33,11 @@ class DarkShare:
     def too_dark(self) -> bool:
         """Whether a good part of the picture went black that was not."""
         return self.black > MOST_BLACK and self.black_before < MOST_BLACK_BEFORE
+
+    @property
+    def too_bright(self) -> bool:
+        """Whether a good part of the picture burnt out that was not."""
+        return self.burnt - self.burnt_before > MOST_BURNT_ANEW
 
 
 def dark_share(photo: Float[np.ndarray, "h w 3"], relit: Float[np.ndarray, "h w 3"]) -> DarkShare:

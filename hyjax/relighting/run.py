@@ -21,7 +21,7 @@ from hyjax.data.light_file import is_light_file, write_lights
 from hyjax.guide.choose import FrameGuide, configured_guide
 from hyjax.light.kinds import Light, kind_name
 from hyjax.light.setup import LightSetup
-from hyjax.metrics.dark_share import dark_share
+from hyjax.metrics.dark_share import DarkShare, dark_share
 from hyjax.relighting.ahead import begin_programs, compile_ahead, is_short
 from hyjax.relighting.frames import RelitFrame, cycles, relit_frames, relit_on_device
 from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
@@ -197,7 +197,7 @@ def relight_run(
             _log.warning("%s: %s", scene.capture.name, scene.photo_light.summary(scene.photo_light.estimate))
         if not settings.each_light and str(asked) not in DARK_SETUPS:
             given = isinstance(asked, str | Path) and is_light_file(str(asked))
-            tell_of_darkness(summary, setup, str(asked) if given else "lights.json")
+            tell_of_exposure(summary, setup, str(asked) if given else "lights.json")
         write_contact_sheet(out / "contact_sheet.png", summary.rows, HEADINGS)
         write_lights(out / "lights.json", setup)
         run = {
@@ -214,6 +214,7 @@ def relight_run(
             "schedule": json.loads(schedule.to_json()),
             "reference_lux": setup.reference_lux,
             "frames_too_dark": summary.dark,
+            "frames_too_bright": summary.bright,
             "photo_light": scene.photo_light.record() if settings.divides_photo_light else None,
             "settings": record,
             "milliseconds": clock.summary(),
@@ -238,20 +239,20 @@ def tell_of_another_device(configuration: Configuration) -> None:
         )
 
 
-def tell_of_darkness(summary: "_Summary", setup: LightSetup, file: str) -> None:
-    """Log frames that ended nearly black, and a remedy in the file of the lights."""
-    if not summary.dark:
-        return
-    names = ", ".join(summary.dark[:3]) + (", …" if len(summary.dark) > 3 else "")
-    _log.warning(
+def tell_of_exposure(summary: "_Summary", setup: LightSetup, file: str) -> None:
+    """Log frames that ended nearly black or burnt out, and a remedy in the file of the lights."""
+    dark = (
         "%d of %d frames end nearly black (%s): little light of the set-up reaches what they show; write nearer "
-        "lights, more ambient light or less than its reference_lux of %.3g into %s, and give that",
-        len(summary.dark),
-        len(summary.written),
-        names,
-        float(setup.reference_lux),
-        file,
+        "lights, more ambient light or less than its reference_lux of %.3g into %s, and give that"
     )
+    bright = (
+        "%d of %d frames burn out where the photo did not (%s): a light of the set-up is near what they show; "
+        "write weaker lights or more than its reference_lux of %.3g into %s, and give that"
+    )
+    for message, names in ((dark, summary.dark), (bright, summary.bright)):
+        if names:
+            first = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
+            _log.warning(message, len(names), len(summary.written), first, float(setup.reference_lux), file)
 
 
 @dataclasses.dataclass
@@ -262,7 +263,7 @@ class _Summary:
         written: names of those that were relit.
         skipped: names of those that see no surface.
         size: (height, width) of the last one.
-        dark: names of those that ended too dark, see `DarkShare`.
+        dark, bright: names of those that ended too dark, and too bright, see `DarkShare`.
         frames_per_second: after the warm-up; None for a shorter run.
     """
 
@@ -271,6 +272,7 @@ class _Summary:
     rows: list[tuple[str, list[np.ndarray]]] = dataclasses.field(default_factory=list)
     size: list[int] = dataclasses.field(default_factory=list)
     dark: list[str] = dataclasses.field(default_factory=list)
+    bright: list[str] = dataclasses.field(default_factory=list)
     frames_per_second: float | None = None
 
 
@@ -282,14 +284,13 @@ def _write_frames(
     bar: CommandBar | None,
 ) -> _Summary:
     """Write the pictures of all frames while the next ones are relit; the first before any other is."""
-    summary, begun, dark = _Summary(), Stopwatch(), set()
+    summary, begun, shares = _Summary(), Stopwatch(), dict[str, DarkShare]()
     sheet_every = max(1, -(-count // SHEET_ROWS))
     every_stage = settings.save_filters or settings.save_visibility
 
     def write(name: str, photo: Float[np.ndarray, "h w 3"], pictures: dict[str, Float[Array, "h w 3"]]) -> None:
         shown = write_frame(clock, settings.out, name, pictures, settings.mode, exr=settings.exr)
-        if dark_share(photo, shown["relit"]).too_dark:
-            dark.add(name)
+        shares[name] = dark_share(photo, shown["relit"])
 
     def now(call: Callable[[], object]) -> None:
         call()
@@ -314,7 +315,8 @@ def _write_frames(
             optimise_programs()
             if len(summary.written) == WARM_UP:
                 begun = Stopwatch()
-    summary.dark = [name for name in summary.written if name in dark]
+    summary.dark = [name for name in summary.written if shares[name].too_dark]
+    summary.bright = [name for name in summary.written if shares[name].too_bright]
     timed = len(summary.written) - WARM_UP
     summary.frames_per_second = round(timed / begun.seconds, 2) if timed > 0 else None
     return summary

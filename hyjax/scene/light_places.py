@@ -5,6 +5,7 @@ that reaches what is seen there; a room that is seen from one spot is a single s
 """
 
 import dataclasses
+import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,6 +22,7 @@ from hyjax.util.vectors import fibonacci_sphere, perpendicular, reject, unit
 Vector = Float[np.ndarray, "3"]
 SURVEY_CAMERAS = 24
 """Most cameras of a survey."""
+_log = logging.getLogger(__name__)
 STOP_DISTANCE = 4.0
 """Least distance, in metres, between the lamps of two stops of which one would light what is seen at the other."""
 SAME_PLACE_SHARE = 0.5
@@ -97,6 +99,7 @@ class LightAnchors:
         lamps: the room's own lamps, and those of the stops that have none; where there is a single stop without
             any, `points`, moved clear of surfaces.
         windows: the room's own windows, and those of the stops that none of these reaches.
+        made_up: places of the lamps and windows that are not the room's own.
     """
 
     up: Vector
@@ -106,6 +109,7 @@ class LightAnchors:
     windows: list[WindowPlace]
     stops: list[Stop]
     seen: SeenSurface
+    made_up: dict[str, list[Vector]]
 
 
 def survey(
@@ -129,6 +133,7 @@ def survey(
     if lamps or len(stops) > 1:
         lamps += [stop.lamp for stop in stops if not _has_lamp(caster, stop, lamps)]
     windows = [_known_window(given[name]) for name in sorted(given) if name.startswith("window")]
+    own_lamps, own_windows = sum(name.startswith("lamp") for name in given), len(windows)
     dark = [stop for stop in stops if not _has_window(seen, stop, windows, up)]
     chosen = dark if len(dark) <= MOST_WINDOWS else dark[:: -(-len(dark) // MOST_WINDOWS)]
     if windows and len(stops) == 1:
@@ -136,17 +141,30 @@ def survey(
     windows += [_made_up_window(caster, seen, stop, up) for stop in chosen]
     if not lamps:
         lamps = [_cleared(caster, place, _nearest(few_eyes, eye), up) for place in points]
-    return LightAnchors(up, focus, points, lamps, windows, stops, seen)
+    made_up = {"lamp": lamps[own_lamps:], "window": [window.center for window in windows[own_windows:]]}
+    return LightAnchors(up, focus, points, lamps, windows, stops, seen, made_up)
 
 
 def survey_capture(caster: RayCaster, capture: Capture, anchors: Mapping[str, Any] | None = None) -> LightAnchors:
     """Survey with cameras from the whole capture, so that any choice of its frames is lit alike.
 
+    What is made up is logged.
+
     Args:
         anchors: places that are known in the place of the capture's own.
     """
     cameras = [capture.camera(i) for i in range(0, len(capture), -(-len(capture) // SURVEY_CAMERAS))]
-    return survey(caster, cameras, capture.up, capture.anchors if anchors is None else anchors)
+    found = survey(caster, cameras, capture.up, capture.anchors if anchors is None else anchors)
+    made_up = " and ".join(_text(kind, places) for kind, places in found.made_up.items() if places)
+    if made_up:
+        _log.warning(
+            "%s: made up for named set-ups: %s; --photo-sources names the room's own", capture.name, made_up
+        )
+    return found
+
+
+def _text(kind: str, places: Sequence[Vector]) -> str:
+    return f"{kind}{'s' * (len(places) > 1)} at " + ", ".join("({:.1f}, {:.1f}, {:.1f})".format(*p) for p in places)
 
 
 def _stops(caster: RayCaster, seen: SeenSurface, eyes: Float[np.ndarray, "c 3"], up: Vector) -> list[Stop]:

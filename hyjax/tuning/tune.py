@@ -2,13 +2,11 @@
 
 import contextlib
 import dataclasses
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from tqdm import tqdm
 
 from hyjax.data.capture import Capture
 from hyjax.guide.choose import open_guide
@@ -23,6 +21,7 @@ from hyjax.tuning.stage import FrameStage
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
+from hyjax.util.terminal import write_above_bars
 
 if TYPE_CHECKING:
     from hyjax.tuning.device_request import LatencyRequest
@@ -119,8 +118,7 @@ def _latency_source(settings: TuneSettings) -> Iterator[LatencySource]:
 
 
 def _say(line: str) -> None:
-    tqdm.write(f"hyjax: {line}", file=sys.stderr)
-    sys.stderr.flush()
+    write_above_bars(f"hyjax: {line}")
 
 
 def write_request(settings: TuneSettings, path: Path) -> "LatencyRequest":

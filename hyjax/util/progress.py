@@ -1,6 +1,7 @@
 """Progress bars: of a step by itself, or one bar for all steps of a command."""
 
 import contextlib
+import sys
 import threading
 from collections.abc import Iterable, Iterator, Sized
 from typing import Any, Generic, TypeVar
@@ -10,6 +11,8 @@ from tqdm import tqdm
 T = TypeVar("T")
 STEPS_FORMAT = "{desc} [{elapsed}]"
 """Form of a bar while the number of what comes in the end is not yet counted."""
+FILE_SECONDS = 5.0
+"""Seconds between the states of a bar that is written to a file."""
 _shared: "CommandBar | None" = None
 
 
@@ -22,7 +25,9 @@ class CommandBar:
 
     def __init__(self, description: str, unit: str) -> None:
         self._description, self._lock = description, threading.Lock()
-        self._bar = tqdm(total=0, desc="starting", unit=unit, bar_format=STEPS_FORMAT, leave=False)
+        self._watched = sys.stderr.isatty()
+        every = {} if self._watched else {"mininterval": FILE_SECONDS}
+        self._bar = tqdm(total=0, desc="starting", unit=unit, bar_format=STEPS_FORMAT, leave=False, **every)
         self._steps: dict[int, str] = {}
 
     def show(self, step: object, text: str | None) -> None:
@@ -34,7 +39,8 @@ class CommandBar:
             if self._steps:
                 self._bar.set_description_str(", ".join(self._steps.values()), refresh=False)
                 self._bar.update(0)
-                self._bar.refresh()
+                if self._watched:
+                    self._bar.refresh()
 
     def count(self, items: Iterable[T], total: int) -> Iterator[T]:
         """Items, counted from now on."""

@@ -49,7 +49,7 @@ def end_output(error: OSError) -> int:
 
 def quiet_libraries() -> None:
     """Log as `hyjax: message`, one line each, without libraries' own warnings."""
-    handler = logging.StreamHandler()
+    handler = _AboveBars()
     handler.setFormatter(OneLine("hyjax: %(message)s"))
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
@@ -59,8 +59,21 @@ def quiet_libraries() -> None:
     warnings.showwarning = _show
 
 
+class _AboveBars(logging.StreamHandler):
+    def emit(self, record: logging.LogRecord) -> None:
+        write_above_bars(self.format(record))
+
+
+def write_above_bars(line: str) -> None:
+    """Write a line to standard error, above the progress bars."""
+    from tqdm import tqdm
+
+    tqdm.write(line, file=sys.stderr)
+    sys.stderr.flush()
+
+
 def _show(message: Warning | str, *_: Any, **__: Any) -> None:
-    print(one_line(f"hyjax: {message}"), file=sys.stderr)
+    write_above_bars(one_line(f"hyjax: {message}"))
 
 
 def usage_error(box: str) -> str:

@@ -15,7 +15,7 @@ from hyjax.light.kinds import DirectionalLight, PointLight, RectLight
 from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import dark_share
 from hyjax.scene.exposure import bounded, exposed, warn_of_missing
-from hyjax.scene.light_places import LightAnchors, survey
+from hyjax.scene.light_places import LightAnchors, survey, survey_capture
 from hyjax.scene.light_response import Response, kinds_of, paleness
 from hyjax.scene.light_setups import EXPOSURES, SETUPS, named_setup, placed_setup
 from hyjax.scene.relighter import Relighter
@@ -133,6 +133,7 @@ def test_anchors_are_used_where_there_are_any(room: RoomCapture, room_caster: Ra
     np.testing.assert_allclose(window.center, room.anchors["window_0"]["center"])
     assert window.width == room.anchors["window_0"]["width"]
     np.testing.assert_allclose(stage.lamps, [room.anchors[f"lamp_{i}"]["position"] for i in (0, 1)])
+    assert not any(stage.made_up.values())
     lamps = [
         np.asarray(x.position) for x in named_setup("evening-lamps", stage).lights if isinstance(x, PointLight)
     ]
@@ -140,6 +141,21 @@ def test_anchors_are_used_where_there_are_any(room: RoomCapture, room_caster: Ra
     only_lamps = survey(room_caster, cameras, room.up, {"lamp_0": {"position": [1, 2, 1]}})
     np.testing.assert_allclose(only_lamps.lamps, [[1, 2, 1]])
     assert np.isfinite(only_lamps.windows[0].center).all()
+
+
+def test_places_that_are_made_up_are_said(
+    room: RoomCapture, room_caster: RayCaster, caplog: pytest.LogCaptureFixture
+) -> None:
+    survey_capture(room_caster, room)
+    assert not caplog.messages
+    known = {name: place for name, place in room.anchors.items() if not name.startswith("window")}
+    found = survey_capture(room_caster, room, known)
+    (said,) = caplog.messages
+    places = ", ".join("({:.1f}, {:.1f}, {:.1f})".format(*window.center) for window in found.windows)
+    assert f"made up for named set-ups: windows at {places}; --photo-sources" in said
+    caplog.clear()
+    survey_capture(room_caster, room, {})
+    assert "lamps at (" in caplog.text and ") and windows at (" in caplog.text
 
 
 def test_made_up_window_faces_what_is_looked_at(box: RayCaster) -> None:
