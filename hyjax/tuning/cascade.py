@@ -130,8 +130,8 @@ class CascadeStage(Stage):
         start = relaxed_of(configuration.schedule, self.factors)
         if not np.any(np.asarray(start.steps)):
             return configuration
-        schedule = polish(self.objective, start, POLISH_ITERATIONS).point.schedule(self.factors, configuration.name)
-        return dataclasses.replace(configuration, schedule=schedule)
+        found = polish(self.objective, start, POLISH_ITERATIONS, expired).point
+        return dataclasses.replace(configuration, schedule=found.schedule(self.factors, configuration.name))
 
     def examples(
         self, front: Sequence[Candidate], references: Sequence[Candidate]

@@ -174,8 +174,12 @@ def promising(
 # ---- polish ----
 
 
-def polish(objective: Objective, point: RelaxedSchedule, iterations: int) -> Found:
+def polish(
+    objective: Objective, point: RelaxedSchedule, iterations: int, expired: Callable[[], bool] = lambda: False
+) -> Found:
     """κ, λ and α of the levels that are there, by bounded quasi-Newton steps on all frames, the step counts fixed.
+
+    The best so far where the time has expired.
 
     Source: Byrd, Lu, Nocedal and Zhu, *A limited memory algorithm for bound constrained optimization*, 1995.
     """
@@ -195,11 +199,16 @@ def polish(objective: Objective, point: RelaxedSchedule, iterations: int) -> Fou
         gradient = np.concatenate([np.asarray(part)[there] for part in _continuous(slope)])
         return LOSS_SCALE * float(value), LOSS_SCALE * gradient.astype(float)
 
+    def go_on(_: object) -> None:
+        if expired():
+            raise StopIteration  # which SciPy takes for the end
+
     box = [bound for bound in bounds() for _ in there]
     first = np.concatenate([np.asarray(part)[there] for part in _continuous(point)]).astype(float)
     # float32 losses are smooth to about seven digits: SciPy's own stopping rule would chase the noise.
     options = {"maxiter": iterations, "maxfun": iterations + 4, "ftol": 1e-5}
-    minimize(loss, np.clip(first, *np.array(box).T), jac=True, method="L-BFGS-B", bounds=box, options=options)
+    begun = np.clip(first, *np.array(box).T)
+    minimize(loss, begun, jac=True, method="L-BFGS-B", bounds=box, callback=go_on, options=options)
     return best
 
 

@@ -220,7 +220,7 @@ class CascadeEvaluator(Evaluator):
         start = self._point(choices)
         if not np.any(np.asarray(start.steps)):
             return choices
-        return self._with(choices, polish(self._first(batch), start, POLISH_ITERATIONS).point)
+        return self._with(choices, polish(self._first(batch), start, POLISH_ITERATIONS, self._expired).point)
 
     def relaxed(self, choices: Choices, trial: Trial) -> Choices:
         budget = trial.budget * self._usual
@@ -240,7 +240,7 @@ class CascadeEvaluator(Evaluator):
         if not found:
             return choices
         polished = [
-            polish(objective, each.point, POLISH_ITERATIONS)
+            polish(objective, each.point, POLISH_ITERATIONS, self._expired)
             for each in found[:POLISHED_SCHEDULES]
             if not self._expired()
         ]

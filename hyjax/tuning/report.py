@@ -28,7 +28,7 @@ STEMS: dict[BudgetStage, str] = {"frame": "configuration", "cascade": "schedule"
 REPORT_FILE = "report.html"
 CSV_COLUMNS = (
     *("name", "kind", "best_for", "front", "choices", "cases", "relative_loss", "relative_time"),
-    *("median_ms", "p95_ms", "default_ms"),
+    *("median_ms", "p95_ms", "judged_p95_ms", "default_ms"),
 )
 """Columns of the CSV file; after them `score_columns`."""
 
@@ -146,6 +146,7 @@ def _candidate_row(tuned: Tuned, kind: str, candidate: Candidate) -> dict[str, s
         "relative_time": time.ratio,
         "median_ms": time.median,
         "p95_ms": time.p95,
+        "judged_p95_ms": time.judged,
         "default_ms": time.default,
     }
     for frames, scores in (("tuning", candidate.tuning), ("held_out", candidate.held_out or {})):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from hyjax.light.shaded import Shaded
 from hyjax.metrics.losses import filter_loss
 from hyjax.tuning.budget import MOST_STEPS
 from hyjax.tuning.cases import Case, raw_filter, refined_filter
+from hyjax.tuning.descent import Objective, polish
 from hyjax.tuning.relaxation import (
     BLOCK_STEPS,
     FIDELITY_RANGE,
@@ -348,3 +350,29 @@ def test_a_schedule_of_a_plan_survives_json() -> None:
 def test_a_plan_without_steps_is_no_schedule(steps: tuple[float, float]) -> None:
     with pytest.raises(InputError, match="needs at least one level"):
         RelaxedSchedule.of(steps).schedule((2, 1))
+
+
+class Valley(Objective):
+    """Rosenbrock's valley in the log κ of two levels, which takes many steps."""
+
+    def __init__(self) -> None:
+        super().__init__((), FACTORS[:2])
+        object.__setattr__(self, "asked", [0])
+
+    def __call__(self, point: RelaxedSchedule) -> float:
+        a, b = np.asarray(point.log_kappa, float) + 2.0
+        return float(1e-2 * (b - a * a) ** 2 + 1e-4 * (1 - a) ** 2)
+
+    def gradient(self, point: RelaxedSchedule, frames: Any = None) -> tuple[float, RelaxedSchedule]:
+        self.asked[0] += 1
+        a, b = np.asarray(point.log_kappa, float) + 2.0
+        slope = np.array([-4e-2 * a * (b - a * a) - 2e-4 * (1 - a), 2e-2 * (b - a * a)])
+        return self(point), dataclasses.replace(jax.tree.map(np.zeros_like, point), log_kappa=slope)
+
+
+def test_numbers_are_refined_until_the_time_is_over() -> None:
+    start = RelaxedSchedule.of((8, 4))
+    whole, cut = Valley(), Valley()
+    best, early = polish(whole, start, 30), polish(cut, start, 30, lambda: cut.asked[0] > 2)
+    assert whole.asked[0] > cut.asked[0] and 3 <= cut.asked[0] <= 8
+    assert best.loss < early.loss <= whole(start)
