@@ -579,6 +579,39 @@ def test_lamps_change_by_the_panel_and_are_saved(visit: Visit, scene: Scene, tmp
     page.get_by_role("button", name="Start over").click()
 
 
+PLAYED = """async (bytes) => {
+  const url = URL.createObjectURL(new Blob([new Uint8Array(bytes)]));
+  const video = Object.assign(document.createElement("video"), { src: url, muted: true });
+  await video.play();
+  await new Promise((done) => { video.addEventListener("ended", done); });
+  return [video.videoWidth, video.videoHeight, video.currentTime];
+}"""
+
+
+@pytest.mark.slow
+def test_a_picture_and_a_video_are_taken_home(browser: Any, visit: Visit, tmp_path: Path) -> None:
+    """Without a server, and without the photo that is wiped over the picture."""
+    page, shown = visit.page, canvas(visit)
+    page.focus("#wipe")
+    page.keyboard.press("End")
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save the picture").click()
+    download.value.save_as(tmp_path / "picture.png")
+    assert download.value.suggested_filename == "relit-0.png"
+    with Image.open(tmp_path / "picture.png") as picture:
+        np.testing.assert_array_equal(np.asarray(picture.convert("RGB")), shown)
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Record a video").click()
+    download.value.save_as(tmp_path / "video")
+    assert download.value.suggested_filename in ("relit.mp4", "relit.webm")
+    player = browser.new_page()
+    width, height, seconds = player.evaluate(PLAYED, list((tmp_path / "video").read_bytes()))
+    player.close()
+    assert (width, height) == (96, 72) and 0.05 < seconds < 1.0, "two frames"
+    visit.close_wipe()
+    np.testing.assert_array_equal(canvas(visit), shown)
+
+
 @pytest.mark.slow
 def test_fingers_drag_lamps_and_fly(visit: Visit) -> None:
     page = visit.page

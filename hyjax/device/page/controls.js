@@ -3,6 +3,7 @@ import { STAGES } from "./display.js";
 import { connectHistory } from "./history.js";
 import { connectLightRows } from "./light_rows.js";
 import { connectPresets } from "./presets.js";
+import { connectTakeHome } from "./take_home.js";
 
 const element = (id) => document.getElementById(id);
 const PLAY = "M4 2.5v11l9-5.5z";
@@ -21,6 +22,7 @@ export function connectControls(viewer) {
   connectAdding(viewer);
   connectSources(viewer);
   connectPicture(viewer);
+  connectTakeHome(viewer);
   connectPresets(viewer);
   connectSpeed(viewer);
   connectLightRows(viewer);
@@ -197,16 +199,6 @@ function connectPicture(viewer) {
     viewer.stops = Number((exposure.value = 0));
     viewer.selected = null;
     viewer.change("lights", "display");
-  });
-  element("save").addEventListener("click", () => {
-    if (!viewer.lights.content().lights.length) {
-      viewer.say("All lights are off; a lights file needs one.");
-      return;
-    }
-    const text = `${JSON.stringify(viewer.lights.content(), null, 2)}\n`;
-    const url = URL.createObjectURL(new Blob([text], { type: "application/json" }));
-    Object.assign(document.createElement("a"), { href: url, download: "lights.json" }).click();
-    setTimeout(() => URL.revokeObjectURL(url), 1e4);
   });
 }
 

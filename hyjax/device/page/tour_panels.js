@@ -1,6 +1,7 @@
 // Panels of a tour: daylight, kinds of lamps, windows, furniture, diffusion, downloads, frames that arrive.
 import { box, button, choice, date, made, section, slider } from "./fields.js";
 import { anchorOf, angleOf, placePiece } from "./handles.js";
+import { handOver } from "./take_home.js";
 
 const element = (id) => document.getElementById(id);
 const clock = (hour) => `${Math.floor(hour)}:${String(Math.round((hour % 1) * 60)).padStart(2, "0")}`;
@@ -17,7 +18,7 @@ export function connectTourPanels(viewer) {
   element("put-mode").options[0].textContent = "On a surface";
   const lights = element("lights").parentElement;
   lights.after(listed(viewer, WINDOWS), ...(server.live ? [] : [listed(viewer, FURNITURE)]));
-  element("save").hidden = true;
+  for (const id of ["save", "save-picture", "save-video"]) element(id).hidden = true;
   element("speed").before(downloads(viewer), diffusion(viewer));
   if (server.live) first.before(arriving(viewer));
   const more = server.shown.filter((name) => !["relit", ...[...element("stages").options].map(({ value }) => value)].includes(name));
@@ -212,9 +213,7 @@ function downloads(viewer) {
     if (task === "video") viewer.say(`${viewer.frames.count} frames are being relit; you can go on meanwhile.`);
     try {
       const { file, written, content } = await viewer.connection.ask(task, viewer.state());
-      const url = URL.createObjectURL(new Blob([content]));
-      made("a", { href: url, download: file }).click();
-      setTimeout(() => URL.revokeObjectURL(url), 1e4);
+      handOver(new Blob([content]), file);
       viewer.say(`Saved; the server has it as ${written}, too.`);
     } catch (error) {
       viewer.say(error.message);
