@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 from common import coarse_surface
 from extras import need
+from firefox import launched_firefox
 from PIL import Image
 
 from experiments.browser import NAMES, SOFTWARE_GPU
@@ -53,6 +54,7 @@ WEBGPU = [
     "--disable-background-networking",
     *SOFTWARE_GPU,
 ]
+FIREFOX_GPU = {"dom_webgpu_enabled": True, "gfx_webgpu_ignore-blocklist": True}
 
 DEVICES = """
 globalThis.devices = [];
@@ -66,15 +68,13 @@ if (globalThis.GPUAdapter) {
 """
 
 
-HALF = """
-const { has } = GPUSupportedFeatures.prototype;
-GPUSupportedFeatures.prototype.has = function (name) { return name === "shader-f16" || has.call(this, name); };
-"""
-"""A device that says it has half precision; its programs must be those of single precision all the same."""
 BARE = """
-const { requestDevice: withNothing } = GPUAdapter.prototype;
-GPUAdapter.prototype.requestDevice = function () { return withNothing.call(this); };
+const { requestDevice: withLimits } = GPUAdapter.prototype;
+GPUAdapter.prototype.requestDevice = function ({ requiredFeatures }) {
+  return withLimits.call(this, { requiredFeatures });
+};
 """
+"""A device with nothing but the default limits."""
 MAPPED = """
 globalThis.mapped = [];
 const { mapAsync } = GPUBuffer.prototype;
@@ -347,6 +347,22 @@ def test_the_picture_is_that_of_relight(visit: Visit, scene: Scene, setup: Light
     visit.page.evaluate("hyjax.goto(0)")
     stats = visit.page.evaluate("hyjax.stats()")
     assert stats["lights"] == 4 and stats["milliseconds"] > 0 and "cascade" in stats["passes"]
+
+
+@pytest.mark.slow
+def test_firefox_draws_the_same_picture_in_half_precision(
+    driver: Any, url: str, scene: Scene, setup: LightSetup
+) -> None:
+    """With WebGPU of its own on Mesa's driver, which gets half precision right; default limits will do."""
+    with launched_firefox(driver, **FIREFOX_GPU) as firefox:
+        visit = Visit(firefox, url, script=BARE)
+        assert visit.state() == "ready", visit.page.inner_text("#failure-text")
+        assert visit.page.evaluate("hyjax.stats().precision") == "f16"
+        limits = visit.page.evaluate(
+            "['maxBufferSize', 'maxStorageBufferBindingSize'].map((k) => devices[0].limits[k])"
+        )
+        assert limits == [1 << 28, 1 << 27]
+        assert difference(visit, reference(scene, setup, 0)) < 2e-3
 
 
 @pytest.mark.slow
@@ -716,22 +732,6 @@ def test_a_device_that_gets_half_precision_wrong_takes_single(visit: Visit, fold
     shaders.update({name: text.replace("store(y[q])", "store(0.9 * y[q])") for name, text in shaders.items()})
     assert visit.page.evaluate(CHOOSE, [page, "?"]) == "f32"
     assert visit.page.evaluate(CHOOSE, [page, "?precision=f16"]) == "f16"
-
-
-@pytest.mark.slow
-def test_half_precision_and_nothing_but_the_default_limits_will_do(
-    browser: Any, url: str, visit: Visit, folder: Path
-) -> None:
-    """A page of its own takes half precision, which it finds right."""
-    answers = {"page.json": json.dumps(with_half(folder)).encode()}
-    bare = Visit(browser, url, script=HALF + BARE, answers=answers)
-    assert bare.state() == "ready", bare.page.inner_text("#failure-text")
-    assert bare.page.evaluate("hyjax.stats().precision") == "f16"
-    limits = bare.page.evaluate("['maxBufferSize', 'maxStorageBufferBindingSize'].map((k) => devices[0].limits[k])")
-    assert limits == [1 << 28, 1 << 27]
-    bare.close_wipe()
-    np.testing.assert_array_equal(canvas(bare), canvas(visit))
-    bare.page.close()
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """The tour's page in Firefox, drawn by the server, on a screen and at a phone's size."""
 
-import shutil
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,6 +11,7 @@ need("tour")
 
 from browser import Page, until
 from common import coarse_surface
+from firefox import launched_firefox
 from visits import SCHEDULES
 
 from hyjax.data.builtin_room import load_room
@@ -35,22 +35,11 @@ def tour(browser_wanted: None, tmp_path_factory: pytest.TempPathFactory) -> Iter
 
 @pytest.fixture(scope="module")
 def firefox(browser_wanted: None) -> Iterator[Any]:
-    """By WebDriver BiDi, which Debian's Firefox speaks as it comes."""
     need("playwright")
-    from playwright.sync_api import Error, sync_playwright
+    from playwright.sync_api import sync_playwright
 
-    path = shutil.which("firefox-esr") or shutil.which("firefox")
-    assert path, "needs Firefox; apt install firefox-esr"
-    with sync_playwright() as driver:
-        launched = driver.firefox.launch(channel="moz-firefox", executable_path=path)
-        try:
-            launched.new_page().close()
-        except Error as error:
-            if "unknown command" not in str(error):
-                raise
-            pytest.skip(f"playwright and this Firefox are of different years: {error.message}")
+    with sync_playwright() as driver, launched_firefox(driver) as launched:
         yield launched
-        launched.close()
 
 
 @pytest.mark.slow
