@@ -22,7 +22,7 @@ from experiments.command import RunConfig, Start, experiment, run
 from experiments.records import Row, of_kind
 from hyjax.data.frames import spread
 from hyjax.light.color import to_display
-from hyjax.metrics.dark_share import DarkShare, dark_share
+from hyjax.metrics.dark_share import dark_share
 from hyjax.scene.light_setups import DARK_SETUPS, SETUPS, check_setup_name
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
@@ -32,7 +32,7 @@ from hyjax.util.errors import InputError
 
 ROOM = "built-in room"
 DATA = Path("../shared/data")
-SHARES = tuple(field.name for field in dataclasses.fields(DarkShare))
+SHARES = "black_before", "black", "burnt_before", "burnt"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

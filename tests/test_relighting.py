@@ -380,15 +380,26 @@ def test_dark_frames_name_the_file_of_the_lights(
 def test_frames_that_burn_out_are_said(
     wall: RayCaster, setup: LightSetup, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Not under usual light, nor where the photo is as bright."""
+    """Not under usual light."""
     options = {"frames": "2", "size": (20, 20)}
     for reference, bright in ((1e-3, ["f2"]), (setup.reference_lux, [])):
         caplog.clear()
         lights = dataclasses.replace(setup, reference_lux=reference)
         assert relight(wall, lights, tmp_path, **options)["frames_too_bright"] == bright
         assert ("1 of 1 frames burn out where the photo did not (f2)" in caplog.text) == bool(bright)
-    white = np.ones((20, 20, 3), np.float32)
-    assert not dark_share(white, white).too_bright
+
+
+def test_pictures_too_dark_and_too_bright() -> None:
+    grey, white, black = (np.full((20, 20, 3), value) for value in (0.5, 1.0, 0.0))
+    dusk = np.where(np.arange(20)[:, None, None] < 8, 0.05, grey)  # dark in two fifths already
+    orange, half = np.array([1.0, 0.6, 0.2]) * white, np.where(np.arange(20)[:, None, None] < 6, 1.0, grey)
+    assert dark_share(grey, black).too_dark and dark_share(dusk, black).too_dark
+    assert not dark_share(dusk, dusk).too_dark and not dark_share(black, black).too_dark
+    for relit in (white, half, orange):
+        assert dark_share(grey, relit).too_bright and not dark_share(relit, relit).too_bright
+    assert not dark_share(grey, np.where(np.arange(20)[:, None, None] < 6, orange, grey)).too_bright, (
+        "a lamp's glow"
+    )
 
 
 def test_all_frames_without_surface_is_an_error(wall: RayCaster, setup: LightSetup, tmp_path: Path) -> None:

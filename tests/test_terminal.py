@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 import warnings
+from pathlib import Path
 
 import pytest
 
@@ -168,10 +169,49 @@ def test_warnings_are_one_line_and_those_of_numbers_none(
     assert capsys.readouterr().err == "hyjax: a\\nb\n"
 
 
-def test_messages_stand_above_a_bar(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+BARS = """
+import logging, sys
+from hyjax.util.terminal import quiet_libraries
+quiet_libraries()
+from hyjax.util.progress import StepBar, command_bar
+with command_bar("relighting", "frame", disable=False) as bar:
+    for _ in StepBar(range(1000), "fusing", unit="frame"):
+        pass
+    for number in bar.count(iter(range(1000)), 1000):
+        if number == 500:
+            logging.getLogger("hyjax").warning("frame %d is odd", number)
+logging.getLogger("hyjax").warning("%d", "no number")
+print("on")
+"""
+
+
+def test_what_a_file_has_of_bars_and_messages(tmp_path: Path) -> None:
+    """Each message on a line of its own, and few states of the bars."""
+    with (tmp_path / "log").open("w") as log:
+        done = subprocess.run(
+            [sys.executable, "-c", BARS], stdout=subprocess.PIPE, stderr=log, text=True, check=True
+        )
+    text = (tmp_path / "log").read_text()
+    assert "hyjax: frame 500 is odd" in text.splitlines() and "relighting: 100%" in text
+    assert len(text.split("\r")) < 12 and done.stdout == "on\n", "a message that cannot be made ends nothing"
+
+
+@pytest.mark.parametrize("end", ["2> /dev/full", "2>&-"])
+def test_messages_that_cannot_be_written_end_nothing(end: str) -> None:
+    command = f'exec "$0" -c "$1" {end}'
+    script = "import logging; from hyjax.util.terminal import quiet_libraries; quiet_libraries();"
+    script += "logging.getLogger('hyjax').warning('odd'); print('on')"
+    done = subprocess.run(["bash", "-c", command, sys.executable, script], stdout=subprocess.PIPE, text=True)
+    assert done.returncode in (0, 120) and done.stdout == "on\n"  # 120: Python's own, of streams at the end
+
+
+def test_messages_stand_above_a_bar_in_a_terminal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(logging.getLogger(), "handlers", [])
     with warnings.catch_warnings():
         quiet_libraries()
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     with command_bar("relighting", "frame", disable=False) as bar:
         assert bar is not None
         for number in bar.count(iter(range(2)), 2):

@@ -9,8 +9,10 @@ BLACK_VALUE, BURNT_VALUE = 0.1, 0.97
 """Display values, means of the channels, below which a pixel is nearly black, and from which it is burnt out."""
 MOST_BLACK, MOST_BLACK_BEFORE = 0.3, 0.1
 """Share of nearly black pixels from which a relit picture is too dark, where the photo has less than the second."""
-MOST_BURNT_ANEW = 0.1
-"""Share of burnt-out pixels, over that of the photo, from which a relit picture is too bright."""
+MOST_BLACK_ANEW = 0.5
+"""Share of the pixels that were not nearly black from which a relit picture that made them so is too dark, too."""
+MOST_BURNT_ANEW, MOST_CLIPPED_ANEW = 0.1, 0.5
+"""Shares of pixels that burnt out anew, and of those of which a channel did, from which a picture is too bright."""
 STRIDE = 2
 """Step of the sampled pixels along rows and columns."""
 
@@ -22,22 +24,27 @@ class DarkShare:
     Attributes:
         black_before, black: nearly black pixels of the photo, and of the relit picture.
         burnt_before, burnt: burnt-out ones.
+        clipped_before, clipped: those of which one channel is burnt out.
     """
 
     black_before: float
     black: float
     burnt_before: float
     burnt: float
+    clipped_before: float = 0.0
+    clipped: float = 0.0
 
     @property
     def too_dark(self) -> bool:
         """Whether a good part of the picture went black that was not."""
-        return self.black > MOST_BLACK and self.black_before < MOST_BLACK_BEFORE
+        anew = (self.black - self.black_before) / max(1.0 - self.black_before, 1e-9)
+        return (self.black > MOST_BLACK and self.black_before < MOST_BLACK_BEFORE) or anew > MOST_BLACK_ANEW
 
     @property
     def too_bright(self) -> bool:
         """Whether a good part of the picture burnt out that was not."""
-        return self.burnt - self.burnt_before > MOST_BURNT_ANEW
+        clipped = self.clipped - self.clipped_before
+        return self.burnt - self.burnt_before > MOST_BURNT_ANEW or clipped > MOST_CLIPPED_ANEW
 
 
 def dark_share(photo: Float[np.ndarray, "h w 3"], relit: Float[np.ndarray, "h w 3"]) -> DarkShare:
@@ -50,7 +57,9 @@ def dark_share(photo: Float[np.ndarray, "h w 3"], relit: Float[np.ndarray, "h w 
     Args:
         photo, relit: display values.
     """
-    before, after = (np.asarray(x)[::STRIDE, ::STRIDE].mean(axis=-1) for x in (photo, relit))
-    shares = [float((own < BLACK_VALUE).mean()) for own in (before, after)]
-    burnt = [float((own >= BURNT_VALUE).mean()) for own in (before, after)]
-    return DarkShare(*shares, *burnt)
+    pictures = [np.asarray(x)[::STRIDE, ::STRIDE] for x in (photo, relit)]
+    means = [picture.mean(axis=-1) for picture in pictures]
+    black = [float((mean < BLACK_VALUE).mean()) for mean in means]
+    burnt = [float((mean >= BURNT_VALUE).mean()) for mean in means]
+    clipped = [float((picture.max(axis=-1) >= BURNT_VALUE).mean()) for picture in pictures]
+    return DarkShare(*black, *burnt, *clipped)

@@ -195,9 +195,10 @@ def relight_run(
             and scene.photo_light.estimate.exponent
         ):
             _log.warning("%s: %s", scene.capture.name, scene.photo_light.summary(scene.photo_light.estimate))
-        if not settings.each_light and str(asked) not in DARK_SETUPS:
+        if not settings.each_light:
             given = isinstance(asked, str | Path) and is_light_file(str(asked))
-            tell_of_exposure(summary, setup, str(asked) if given else "lights.json")
+            file = str(asked) if given else "lights.json"
+            tell_of_exposure(summary, setup, file, dark=str(asked) not in DARK_SETUPS)
         write_contact_sheet(out / "contact_sheet.png", summary.rows, HEADINGS)
         write_lights(out / "lights.json", setup)
         run = {
@@ -239,17 +240,18 @@ def tell_of_another_device(configuration: Configuration) -> None:
         )
 
 
-def tell_of_exposure(summary: "_Summary", setup: LightSetup, file: str) -> None:
-    """Log frames that ended nearly black or burnt out, and a remedy in the file of the lights."""
-    dark = (
+def tell_of_exposure(summary: "_Summary", setup: LightSetup, file: str, *, dark: bool) -> None:
+    """Log frames that burnt out, or ended nearly black where `dark` says so, and a remedy in the lights' file."""
+    too_dark = (
         "%d of %d frames end nearly black (%s): little light of the set-up reaches what they show; write nearer "
         "lights, more ambient light or less than its reference_lux of %.3g into %s, and give that"
     )
-    bright = (
-        "%d of %d frames burn out where the photo did not (%s): a light of the set-up is near what they show; "
-        "write weaker lights or more than its reference_lux of %.3g into %s, and give that"
+    too_bright = (
+        "%d of %d frames burn out where the photo did not (%s): their lights are too strong for the "
+        "reference_lux of %.3g in %s; give a file with a larger one, or with weaker lights"
     )
-    for message, names in ((dark, summary.dark), (bright, summary.bright)):
+    told = ((too_dark, summary.dark if dark else []), (too_bright, summary.bright))
+    for message, names in told:
         if names:
             first = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
             _log.warning(message, len(names), len(summary.written), first, float(setup.reference_lux), file)

@@ -116,7 +116,7 @@ class Inspection:
         yield "pictures", ", ".join(f"{w}x{h}" for w, h in dict.fromkeys(self.sizes))
         if self.exposures:
             low, high = (1e3 * f(self.exposures) for f in (min, max))
-            yield "exposure", f"{low:.3g} to {high:.3g} ms"
+            yield "exposure", (f"{low:.3g} ms" if low == high else f"{low:.3g} to {high:.3g} ms")
         yield "camera path", f"{self.path_length:.3g} m within {_span(self.positions)}"
         if len(self.surface_points):
             yield "surface", _span(np.quantile(self.surface_points, SPAN_QUANTILES, axis=0))

@@ -15,13 +15,15 @@ from jaxtyping import Bool, Float
 from hyjax.data.capture import Capture
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
-from hyjax.light.kinds import Aperture, RectLight
+from hyjax.light.kinds import Aperture, Light, PointLight, RectLight
 from hyjax.scene.seen_surface import SeenSurface
 from hyjax.util.vectors import fibonacci_sphere, perpendicular, reject, unit
 
 Vector = Float[np.ndarray, "3"]
 SURVEY_CAMERAS = 24
 """Most cameras of a survey."""
+SAME_PLACE = 0.02
+"""Distance, in metres, of a light from the place that it was given."""
 _log = logging.getLogger(__name__)
 STOP_DISTANCE = 4.0
 """Least distance, in metres, between the lamps of two stops of which one would light what is seen at the other."""
@@ -148,23 +150,31 @@ def survey(
 def survey_capture(caster: RayCaster, capture: Capture, anchors: Mapping[str, Any] | None = None) -> LightAnchors:
     """Survey with cameras from the whole capture, so that any choice of its frames is lit alike.
 
-    What is made up is logged.
-
     Args:
         anchors: places that are known in the place of the capture's own.
     """
     cameras = [capture.camera(i) for i in range(0, len(capture), -(-len(capture) // SURVEY_CAMERAS))]
-    found = survey(caster, cameras, capture.up, capture.anchors if anchors is None else anchors)
-    made_up = " and ".join(_text(kind, places) for kind, places in found.made_up.items() if places)
-    if made_up:
-        _log.warning(
-            "%s: made up for named set-ups: %s; --photo-sources names the room's own", capture.name, made_up
-        )
-    return found
+    return survey(caster, cameras, capture.up, capture.anchors if anchors is None else anchors)
 
 
-def _text(kind: str, places: Sequence[Vector]) -> str:
-    return f"{kind}{'s' * (len(places) > 1)} at " + ", ".join("({:.1f}, {:.1f}, {:.1f})".format(*p) for p in places)
+def tell_made_up(name: str, anchors: LightAnchors, lights: Sequence[Light]) -> None:
+    """Log the places of a set-up's lights that are made up."""
+    centers = {
+        "lamp": [np.asarray(light.position) for light in lights if isinstance(light, PointLight)],
+        "window": [np.asarray(light.center) for light in lights if isinstance(light, RectLight)],
+    }
+    texts = []
+    for kind, places in anchors.made_up.items():
+        used = [p for p in places if any(np.linalg.norm(p - center) < SAME_PLACE for center in centers[kind])]
+        if used:
+            texts.append(f"{kind}{'s' * (len(used) > 1)} at " + ", ".join(map(_text, used)))
+    if texts:
+        made_up = " and ".join(texts)
+        _log.warning("%s: made up: %s; if yours are elsewhere, give them with --photo-sources FILE", name, made_up)
+
+
+def _text(place: Vector) -> str:
+    return "({:.1f}, {:.1f}, {:.1f})".format(*place)
 
 
 def _stops(caster: RayCaster, seen: SeenSurface, eyes: Float[np.ndarray, "c 3"], up: Vector) -> list[Stop]:

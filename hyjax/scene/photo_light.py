@@ -140,7 +140,8 @@ class ScenePhotoLight:
         names = [window.name for window in sources.windows] + [lamp.name for lamp in sources.lamps]
         origin = {"file": "named", "capture": "known of the capture", "found": "found in the pictures", "none": ""}
         lit = f"{', '.join(names)} ({origin[sources.origin]})" if names else "no window and no lamp was found"
-        shares = f"its brightness is believed by {estimate.exponent:.0%}, hue by {estimate.hue_exponent:.0%}"
+        brightness, hue = (f"{100 * share:.0f} %" for share in (estimate.exponent, estimate.hue_exponent))
+        shares = f"its brightness is believed by {brightness}, hue by {hue}"
         shares = shares if names else f"it is taken to come from what was not scanned; {shares}"
         fate = shares if estimate.exponent else f"it stays in the pictures: {estimate.reason}"
         remedy = "if other windows or lamps lit them, name these with --photo-sources"

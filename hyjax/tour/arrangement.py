@@ -204,7 +204,9 @@ class Arrangement:
         direct = direct_channels(setup.lights, bounces)
         lit = [setup.lights[place] for place in direct]
         made = [self._layer(setup.lights[place], samples, key, casting[place]) for place in direct]
-        self._visible = *(name for name, _ in made), *(float(getattr(lamp, lamp.STRENGTH)) > 0 for lamp in lit)
+        if key is not None:
+            shining = (float(getattr(lamp, lamp.STRENGTH)) > 0 for lamp in lit)
+            self._visible = *(name for name, _ in made), *shining
         layers = [(lamp, layer) for lamp, (_, layer) in zip(lit, made, strict=True)]
         shaded = stack_layers(layers, uniform, samples.hit, setup.reference_lux)
         indirect = None if light is None else indirect_on_pixels(light, samples)
@@ -212,11 +214,11 @@ class Arrangement:
 
     def run(self, function: Callable[..., Any], *arrays: Any, **static: Any) -> Any:
         """Result of a stage of the refinement; brightness and colour leave that of the shadow pass as it was."""
-        if function is not refine_visibility:
+        if function is not refine_visibility or self.coarse:
             return run_kept(function, *arrays, **static)
         *_, schedule = arrays
         key = "visible", self._visible, schedule.to_json()
-        return self._caches.frames(key, lambda: jax.block_until_ready(run_kept(function, *arrays)))
+        return self._caches.frames(key, lambda: jax.block_until_ready(run_kept(function, *arrays, **static)))
 
     def is_coarse(self, light: Light, scale: float = 1.0, most_views: int | None = None) -> bool:
         """Whether a draft takes coarse shadow maps of a light, as there are no fine ones yet."""

@@ -49,14 +49,15 @@ from hyjax.tour.placement import as_point, north_for_bearing, place_lamp
 from hyjax.tour.plan import LampKind, TourPlan, Window
 from hyjax.tour.uncovered import (
     GREY,
+    ROW,
     Source,
     extend_planes,
-    row_of_pixels,
+    rows_of_pixels,
     scanned_points,
     seen_elsewhere,
     uncovered_pixels,
 )
-from hyjax.tour.viewpoint import Shown, Viewpoint
+from hyjax.tour.viewpoint import Viewpoint
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
 from hyjax.util.images import to_bytes
@@ -199,11 +200,11 @@ class Renderer:
         Raises:
             RenderCancelled: it was cancelled. What has been cast so far is kept.
         """
-        if viewpoint.camera is not None:
-            return self._free(plan, viewpoint.camera, viewpoint.shown, draft, cancelled)
-        clock, index, keep = StageClock(), viewpoint.frame, self._caches.frames
         flames = {k: flicker(seconds, k) for k, lamp in enumerate(plan.lamps) if lamp.kind == "candle"}
         setup = self._setup(plan, flames if seconds else None)
+        if viewpoint.camera is not None:
+            return self._free(plan, setup, viewpoint, draft, cancelled)
+        clock, index, keep = StageClock(), viewpoint.frame, self._caches.frames
         frame, guide = self.frame(index), KeptGuide(self.guide, functools.partial(keep, ("guide", index)))
         configuration = self._configured(viewpoint.schedule, fully=viewpoint.shown == "raw filter")
         own = Arrangement(
@@ -269,22 +270,24 @@ class Renderer:
                 ("source", number), lambda: Source.of(functools.partial(self.frame, number), caster)
             ),
         )
-        row, count = row_of_pixels(now, chosen), len(seen)
-        divisor = np.ones((1, count, 1))
-        if light is not None:
-            divisor = np.asarray(on_pixels(light.photo_light, light.faces, row))[:, :count]
-        reflectance = np.zeros((*row.hit.shape, 3), np.float32)
-        reflectance[:, :count] = np.where((seen & scanned)[:, None], color / divisor, GREY)
-        lit = _lit(own.shade_samples(row, setup, light), reflectance, setup.reference_lux)
+        rows = rows_of_pixels(now, chosen)
+        shown = np.zeros((len(rows) * ROW, 3), np.float32)
+        shown[: len(color)] = np.where((seen & scanned)[:, None], color, np.nan)
+        lit = []
+        for row, colors in zip(rows, shown.reshape(-1, 1, ROW, 3), strict=True):
+            divisor = 1.0 if light is None else on_pixels(light.photo_light, light.faces, row)
+            reflectance = np.where(np.isnan(colors), np.float32(GREY), colors / divisor)
+            lit.append(np.asarray(_lit(own.shade_samples(row, setup, light), reflectance, setup.reference_lux))[0])
         picture = np.array(relit)
-        picture[chosen] = np.asarray(lit)[0, :count]
+        picture[chosen] = np.concatenate(lit)[: len(color)]
         return jnp.asarray(picture), bool((~seen & scanned).mean() > LEAST_UNSEEN)
 
     def _free(
-        self, plan: TourPlan, camera: Camera, shown: Shown, draft: bool, cancelled: Callable[[], bool]
+        self, plan: TourPlan, setup: LightSetup, viewpoint: Viewpoint, draft: bool, cancelled: Callable[[], bool]
     ) -> RenderedFrame:
         """The lit mesh as a camera sees it that has no photo: albedo times light, which needs no repair."""
-        clock, setup = StageClock(), self._setup(plan)
+        clock, camera, shown = StageClock(), viewpoint.camera, viewpoint.shown
+        assert camera is not None
         configuration = self._configured(self.configuration.schedule, fully=True)
         own = Arrangement(
             self.scene, plan, self._caches, self.photo_light, configuration, draft=draft, cancelled=cancelled

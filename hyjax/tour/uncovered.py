@@ -33,8 +33,10 @@ MARGIN = 1 / 200
 """Width, over that of the picture, of the rim that is drawn anew, too: edges of photo and scan differ."""
 MOST_FRAMES = 6
 """Most frames that pixels are taken of."""
-RANKED_STEP = 8
-"""Step between the points by which frames are ranked."""
+RANKED_POINTS = 2000
+"""Number of points, spread over all, by which frames are ranked; there may be up to twice as many."""
+ROW = 4096
+"""Pixels of a row that is lit at once."""
 SLACK, OFFSET = 1.03, 0.03
 """Factor on the depth of a pixel, and metres, within which it shows a point."""
 STEP = 0.1
@@ -85,13 +87,18 @@ def extend_planes(
     return dataclasses.replace(now, **jax.device_put(arrays))
 
 
-def row_of_pixels(gbuffer: GBuffer, chosen: Bool[np.ndarray, "h w"]) -> GBuffer:
-    """Chosen pixels in one row, filled up by misses to a power of two, so that few sizes are compiled for."""
+def rows_of_pixels(gbuffer: GBuffer, chosen: Bool[np.ndarray, "h w"]) -> list[GBuffer]:
+    """Chosen pixels in rows of one length, so that one size is compiled for; misses fill the last one up."""
     pixels = np.flatnonzero(chosen)
-    row = np.zeros(1 << max(0, len(pixels) - 1).bit_length(), int)
-    row[: len(pixels)] = pixels
-    taken = jax.tree.map(lambda x: np.asarray(x).reshape(-1, *x.shape[2:])[None, row], gbuffer)
-    return dataclasses.replace(taken, hit=taken.hit & (np.arange(len(row)) < len(pixels)))
+    rows = np.zeros((-(-len(pixels) // ROW), ROW), int)
+    rows.reshape(-1)[: len(pixels)] = pixels
+    filled = np.arange(rows.size).reshape(rows.shape) < len(pixels)
+
+    def row(number: int) -> GBuffer:
+        taken = jax.tree.map(lambda x: np.asarray(x).reshape(-1, *x.shape[2:])[rows[number][None]], gbuffer)
+        return dataclasses.replace(taken, hit=taken.hit & filled[number])
+
+    return [row(number) for number in range(len(rows))]
 
 
 def scanned_points(
@@ -143,14 +150,15 @@ def seen_elsewhere(
         source: a frame by its number; None if it cannot be read, and the next is taken.
     """
     total, weight, left = np.zeros((len(points), 3)), np.zeros(len(points)), MOST_FRAMES
+    few = slice(None, None, max(1, len(points) // RANKED_POINTS))
 
     def worth_of(number: int) -> float:
-        return float(np.sqrt(_views(points[::RANKED_STEP], normals[::RANKED_STEP], cameras[number])[-1]).sum())
+        return float(np.sqrt(_views(points[few], normals[few], cameras[number])[-1]).sum())
 
     for number in sorted(cameras, key=worth_of, reverse=True):
-        inside, places, depth, worth = _views(points, normals, cameras[number])
         if not left:
             break
+        inside, places, depth, worth = _views(points, normals, cameras[number])
         if not worth.any() or (of := source(number)) is None:
             continue
         left -= 1

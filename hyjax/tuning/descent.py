@@ -208,7 +208,8 @@ def polish(
     # float32 losses are smooth to about seven digits: SciPy's own stopping rule would chase the noise.
     options = {"maxiter": iterations, "maxfun": iterations + 4, "ftol": 1e-5}
     begun = np.clip(first, *np.array(box).T)
-    minimize(loss, begun, jac=True, method="L-BFGS-B", bounds=box, callback=go_on, options=options)
+    if not expired():
+        minimize(loss, begun, jac=True, method="L-BFGS-B", bounds=box, callback=go_on, options=options)
     return best
 
 

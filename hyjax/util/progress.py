@@ -1,7 +1,6 @@
 """Progress bars: of a step by itself, or one bar for all steps of a command."""
 
 import contextlib
-import sys
 import threading
 from collections.abc import Iterable, Iterator, Sized
 from typing import Any, Generic, TypeVar
@@ -11,8 +10,6 @@ from tqdm import tqdm
 T = TypeVar("T")
 STEPS_FORMAT = "{desc} [{elapsed}]"
 """Form of a bar while the number of what comes in the end is not yet counted."""
-FILE_SECONDS = 5.0
-"""Seconds between the states of a bar that is written to a file."""
 _shared: "CommandBar | None" = None
 
 
@@ -25,9 +22,7 @@ class CommandBar:
 
     def __init__(self, description: str, unit: str) -> None:
         self._description, self._lock = description, threading.Lock()
-        self._watched = sys.stderr.isatty()
-        every = {} if self._watched else {"mininterval": FILE_SECONDS}
-        self._bar = tqdm(total=0, desc="starting", unit=unit, bar_format=STEPS_FORMAT, leave=False, **every)
+        self._bar = tqdm(total=0, desc="starting", unit=unit, bar_format=STEPS_FORMAT, leave=False)
         self._steps: dict[int, str] = {}
 
     def show(self, step: object, text: str | None) -> None:
@@ -39,7 +34,7 @@ class CommandBar:
             if self._steps:
                 self._bar.set_description_str(", ".join(self._steps.values()), refresh=False)
                 self._bar.update(0)
-                if self._watched:
+                if self._bar.mininterval < 1:  # it is watched
                     self._bar.refresh()
 
     def count(self, items: Iterable[T], total: int) -> Iterator[T]:

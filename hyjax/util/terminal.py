@@ -12,6 +12,8 @@ from typing import Any
 
 from hyjax.util.errors import one_line
 
+FILE_SECONDS = 5.0
+"""Least seconds between the states of a progress bar that goes to a file."""
 LONGEST_USAGE_ERROR = 400
 """Characters of a message about the command line."""
 OPTION_PATTERN = re.compile(r"--[\w-]+")
@@ -53,6 +55,8 @@ def quiet_libraries() -> None:
     handler.setFormatter(OneLine("hyjax: %(message)s"))
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    if sys.stderr is None or not sys.stderr.isatty():
+        os.environ.setdefault("TQDM_MININTERVAL", str(FILE_SECONDS))
     if sys.warnoptions:  # somebody wants to see them
         return
     warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's, of values that are checked where they matter
@@ -60,15 +64,25 @@ def quiet_libraries() -> None:
 
 
 class _AboveBars(logging.StreamHandler):
+    """Handler of messages that stand above the progress bars."""
+
     def emit(self, record: logging.LogRecord) -> None:
-        write_above_bars(self.format(record))
+        try:
+            write_above_bars(self.format(record))
+        except Exception:
+            self.handleError(record)
 
 
 def write_above_bars(line: str) -> None:
-    """Write a line to standard error, above the progress bars."""
+    """Write a line to standard error, above the progress bars, or below what a file has of them."""
     from tqdm import tqdm
 
-    tqdm.write(line, file=sys.stderr)
+    if sys.stderr is None:
+        return
+    if sys.stderr.isatty():
+        tqdm.write(line, file=sys.stderr)
+    else:
+        print("\n" * bool(getattr(tqdm, "_instances", ())) + line, file=sys.stderr)
     sys.stderr.flush()
 
 
@@ -90,7 +104,8 @@ def usage_error(box: str) -> str:
     for text in more:
         if text.startswith("Perhaps you meant"):
             given, *_ = OPTION_PATTERN.findall(said) or [""]
-            line += f"; perhaps {difflib.get_close_matches(given, OPTION_PATTERN.findall(text), 1, 0.0)[0]}"
+            likest = difflib.get_close_matches(given, OPTION_PATTERN.findall(text), 1, 0.0)[0]
+            line += f"; perhaps {likest}" if likest != given else ", which other commands have"
         elif text.startswith("Available subcommands"):
             line += f"; {text[0].lower()}{text[1:]}"
     return f"{line}; see hyjax --help"

@@ -94,6 +94,7 @@ SHOWN_LIGHT = """async ([high, light]) => {
   const { COPY_SRC, RENDER_ATTACHMENT } = GPUTextureUsage;
   let texture, configured;
   const context = {
+    getConfiguration: () => configured,
     configure(options) {
       configured = options;
       const { format } = options;

@@ -15,7 +15,7 @@ from hyjax.light.kinds import DirectionalLight, PointLight, RectLight
 from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import dark_share
 from hyjax.scene.exposure import bounded, exposed, warn_of_missing
-from hyjax.scene.light_places import LightAnchors, survey, survey_capture
+from hyjax.scene.light_places import LightAnchors, survey
 from hyjax.scene.light_response import Response, kinds_of, paleness
 from hyjax.scene.light_setups import EXPOSURES, SETUPS, named_setup, placed_setup
 from hyjax.scene.relighter import Relighter
@@ -146,16 +146,24 @@ def test_anchors_are_used_where_there_are_any(room: RoomCapture, room_caster: Ra
 def test_places_that_are_made_up_are_said(
     room: RoomCapture, room_caster: RayCaster, caplog: pytest.LogCaptureFixture
 ) -> None:
-    survey_capture(room_caster, room)
+    """Of the lights that a set-up uses."""
+    cameras = [frame.camera for frame in room]
+    named_setup("evening-lamps", survey(room_caster, cameras, room.up, room.anchors))
     assert not caplog.messages
-    known = {name: place for name, place in room.anchors.items() if not name.startswith("window")}
-    found = survey_capture(room_caster, room, known)
-    (said,) = caplog.messages
+    without = {name: place for name, place in room.anchors.items() if not name.startswith("window")}
+    found = survey(room_caster, cameras, room.up, without)
+    named_setup("noon-window", found)
     places = ", ".join("({:.1f}, {:.1f}, {:.1f})".format(*window.center) for window in found.windows)
-    assert f"made up for named set-ups: windows at {places}; --photo-sources" in said
+    assert caplog.messages == [
+        f"noon-window: made up: windows at {places}; if yours are elsewhere, give them with --photo-sources FILE"
+    ]
     caplog.clear()
-    survey_capture(room_caster, room, {})
+    bare = survey(room_caster, cameras, room.up)
+    named_setup("evening-lamps", bare)
     assert "lamps at (" in caplog.text and ") and windows at (" in caplog.text
+    caplog.clear()
+    named_setup("golden-hour", bare)
+    assert "windows at (" in caplog.text and "lamp" not in caplog.text
 
 
 def test_made_up_window_faces_what_is_looked_at(box: RayCaster) -> None:

@@ -22,10 +22,7 @@ def test_a_disabled_one_shows_nothing(capsys: pytest.CaptureFixture[str]) -> Non
     assert not shown(capsys)
 
 
-def test_steps_of_a_command_share_its_bar(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+def test_steps_of_a_command_share_its_bar(capsys: pytest.CaptureFixture[str]) -> None:
     with command_bar("relighting", "frame", disable=False) as bar:
         assert bar is not None
         with StepBar[None](desc="light", total=2, unit="block") as light:
@@ -37,16 +34,6 @@ def test_steps_of_a_command_share_its_bar(
     assert "light 1/2, fusing 2/3 [" in text
     assert "relighting: 100%" in text and "4/4" in text
     assert text.count("\n") == 1, "one line is left"
-
-
-def test_a_bar_that_goes_to_a_file_is_written_seldom(capsys: pytest.CaptureFixture[str]) -> None:
-    with command_bar("relighting", "frame", disable=False) as bar:
-        assert bar is not None
-        for _ in StepBar(range(1000), "fusing", unit="frame"):
-            pass
-        assert len(list(bar.count(iter(range(1000)), 1000))) == 1000
-    text = shown(capsys)
-    assert "relighting: 100%" in text and len(text.split("\r")) < 10
 
 
 def test_a_failing_command_leaves_no_line(capsys: pytest.CaptureFixture[str]) -> None:

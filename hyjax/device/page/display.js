@@ -41,8 +41,12 @@ export class Display {
       this.format = high ? "rgba16float" : navigator.gpu.getPreferredCanvasFormat();
       this.context = canvas.getContext("webgpu");
       if (!this.context) throw new Error("The browser gave the page no WebGPU canvas.");
-      const toneMapping = { mode: high ? "extended" : "standard" };
-      this.context.configure({ device, format: this.format, alphaMode: "opaque", toneMapping });
+      const configure = (mode) => this.context.configure({ device, format: this.format, alphaMode: "opaque", toneMapping: { mode } });
+      configure(high ? "extended" : "standard");
+      if (high && this.context.getConfiguration?.().toneMapping?.mode !== "extended") { // the browser has none
+        this.format = navigator.gpu.getPreferredCanvasFormat();
+        configure("standard");
+      }
     }
     const uniform = (size) => device.createBuffer({ size, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
     this.shown = uniform(16);

@@ -50,7 +50,8 @@ fn fragment(@builtin(position) place: vec4<f32>) -> @location(0) vec4<f32> {
 // The sRGB curve, which goes on beyond white.
 fn beyond_white(linear: vec3<f32>) -> vec3<f32> {
     let light = min(linear, vec3<f32>(most_light));
-    return select(to_display(light), 1.055 * pow(max(light, vec3<f32>(1.0)), vec3<f32>(1.0 / 2.4)) - 0.055, light > vec3<f32>(1.0));
+    let beyond = 1.055 * pow(max(light, vec3<f32>(1.0)), vec3<f32>(1.0 / 2.4)) - 0.055;
+    return select(to_display(light), beyond, light > vec3<f32>(1.0));
 }
 
 // Noise of one step of eight bits, so that dark gradients have no bands (Jimenez, *Next generation post processing in
