@@ -7,9 +7,9 @@ without a browser changes something, waits for the picture (`--changes` times fo
 it. *Draft* is the first picture that shows the change, *fine* the last. Then visitors change everything for some
 minutes, break off and come back, while the process's memory, files and threads are counted.
 
-Takes two minutes on two cores, and `--minutes` more.
+Takes five minutes on two cores, and `--minutes` more.
 
-Expect: 50 ms from the brightness of a lamp to its picture, as of the hour; a draft of a lamp that moves in 100 ms.
+Expect: 50 ms from the brightness of a lamp to its picture, as of the exposure; a draft of a lamp that moves in 100 ms.
 """
 
 import contextlib
