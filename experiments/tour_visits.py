@@ -9,7 +9,7 @@ minutes, break off and come back, while the process's memory, files and threads 
 
 Takes five minutes on two cores, and `--minutes` more.
 
-Expect: 50 ms from the brightness of a lamp to its picture, as of the exposure; a draft of a lamp that moves in 100 ms.
+Expect: 50 ms from the brightness of a lamp, or the exposure, to its picture; 100 to the draft of a lamp that moves.
 """
 
 import contextlib

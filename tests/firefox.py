@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from extras import need
 
 
 @contextlib.contextmanager
@@ -15,6 +16,7 @@ def launched_firefox(driver: Any, **preferences: Any) -> Iterator[Any]:
     Args:
         preferences: by names with `_` in the place of dots.
     """
+    need("playwright")
     from playwright.sync_api import Error
 
     path = shutil.which("firefox-esr") or shutil.which("firefox")

@@ -614,7 +614,7 @@ def test_a_picture_and_a_video_are_taken_home(browser: Any, visit: Visit, tmp_pa
     with page.expect_download() as download:
         page.get_by_role("button", name="Save the picture").click()
     download.value.save_as(tmp_path / "picture.png")
-    assert download.value.suggested_filename == "relit-0.png"
+    assert download.value.suggested_filename == "relit-1.png"
     with Image.open(tmp_path / "picture.png") as picture:
         np.testing.assert_array_equal(np.asarray(picture.convert("RGB")), shown)
     with page.expect_download() as download:

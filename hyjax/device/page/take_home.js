@@ -31,7 +31,7 @@ export function connectTakeHome(viewer) {
   onClick("save-picture", async () => {
     const { canvas, draw } = await copyOf(viewer);
     await draw();
-    canvas.toBlob((picture) => handOver(picture, `relit-${viewer.frame}.png`));
+    canvas.toBlob((picture) => handOver(picture, `relit-${viewer.frame + 1}.png`));
   });
   onClick("save-video", () => recordVideo(viewer));
 }
@@ -56,14 +56,17 @@ async function recordVideo(viewer) {
   const { canvas, draw, context } = await copyOf(viewer);
   const pictures = [];
   viewer.playing = false;
-  for (let k = 0; k < frames.count; k++) {
-    viewer.say(`Video: frame ${k + 1} of ${frames.count}.`);
-    viewer.goTo(k);
-    await draw();
-    pictures.push(await createImageBitmap(canvas));
+  try {
+    for (let k = 0; k < frames.count; k++) {
+      viewer.say(`Video: frame ${k + 1} of ${frames.count}.`);
+      viewer.goTo(k);
+      await draw();
+      pictures.push(await createImageBitmap(canvas));
+    }
+  } finally {
+    Object.assign(viewer, { frame, flying });
+    viewer.change("camera");
   }
-  Object.assign(viewer, { frame, flying });
-  viewer.change("camera");
   const stream = canvas.captureStream(0);
   const recorder = new MediaRecorder(stream, { mimeType: kind, videoBitsPerSecond: BITS });
   const parts = [];
