@@ -147,6 +147,7 @@ def test_places_that_are_made_up_are_said(
     room: RoomCapture, room_caster: RayCaster, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Of the lights that a set-up uses."""
+    caplog.set_level("INFO", "hyjax.scene.light_places")
     cameras = [frame.camera for frame in room]
     named_setup("evening-lamps", survey(room_caster, cameras, room.up, room.anchors))
     assert not caplog.messages
