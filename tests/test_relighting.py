@@ -389,6 +389,14 @@ def test_frames_that_burn_out_are_said(
         assert ("1 of 1 frames burn out where the photo did not (f2)" in caplog.text) == bool(bright)
 
 
+def test_a_run_says_which_lights_are_made_up(
+    wall: RayCaster, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    settings = RelightSettings(lights="noon-window", frames="2", out=tmp_path, quiet=True)
+    relight_capture(settings, scene=Scene(Corner(), wall.mesh, size=(20, 20)), schedule=SCHEDULE)
+    assert "noon-window: made up: window at (" in caplog.text
+
+
 def test_pictures_too_dark_and_too_bright() -> None:
     grey, white, black = (np.full((20, 20, 3), value) for value in (0.5, 1.0, 0.0))
     dusk = np.where(np.arange(20)[:, None, None] < 8, 0.05, grey)  # dark in two fifths already

@@ -118,6 +118,11 @@ def test_help_beside_a_long_argument_comes_once(
             ["relight", "--seed", "x"],
             "Error parsing --seed: invalid literal for int() with base 10: 'x'",
         ),
+        (
+            ["info", "--capture", "x"],
+            "Unrecognized or misplaced options: --capture (applied to hyjax info) x (applied to hyjax info), which "
+            "other commands have",
+        ),
         (["relight", "--size"], "Missing value for argument '--size'. Expected 1 values"),
         (
             ["relite"],

@@ -27,7 +27,8 @@ from hyjax.relighting.frames import RelitFrame, cycles, relit_frames, relit_on_d
 from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.fusion_settings import FusionSettings
-from hyjax.scene.light_setups import DARK_SETUPS
+from hyjax.scene.light_places import tell_made_up
+from hyjax.scene.light_setups import DARK_SETUPS, SETUPS
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.util.arguments import checked_arguments
@@ -195,6 +196,8 @@ def relight_run(
             and scene.photo_light.estimate.exponent
         ):
             _log.warning("%s: %s", scene.capture.name, scene.photo_light.summary(scene.photo_light.estimate))
+        if str(asked) in SETUPS:
+            tell_made_up(str(asked), scene.anchors(at_photo_sources=divides), setup.lights)
         if not settings.each_light:
             given = isinstance(asked, str | Path) and is_light_file(str(asked))
             file = str(asked) if given else "lights.json"

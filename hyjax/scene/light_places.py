@@ -170,7 +170,7 @@ def tell_made_up(name: str, anchors: LightAnchors, lights: Sequence[Light]) -> N
             texts.append(f"{kind}{'s' * (len(used) > 1)} at " + ", ".join(map(_text, used)))
     if texts:
         made_up = " and ".join(texts)
-        _log.info("%s: made up: %s; if yours are elsewhere, give them with --photo-sources FILE", name, made_up)
+        _log.warning("%s: made up: %s; if yours are elsewhere, give them with --photo-sources FILE", name, made_up)
 
 
 def _text(place: Vector) -> str:

@@ -20,7 +20,7 @@ from hyjax.light.kinds.file_keys import direction
 from hyjax.light.photo_light import PhotoLight
 from hyjax.light.setup import LightSetup
 from hyjax.scene.exposure import LARGEST_FILTER, Exposure, bounded, exposed, warn_of_missing
-from hyjax.scene.light_places import LightAnchors, Vector, WindowPlace, tell_made_up
+from hyjax.scene.light_places import LightAnchors, Vector, WindowPlace
 from hyjax.scene.light_response import assumed_response, measured_response
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.vectors import unit
@@ -115,7 +115,7 @@ def check_setup_name(name: str) -> None:
 
 
 def named_setup(name: str, anchors: LightAnchors, photo: PhotoLight | None = None) -> LightSetup:
-    """Place one of `SETUPS` in a room and expose it; lights that are made up or reach nothing visible are logged.
+    """Place one of `SETUPS` in a room and expose it; a light that reaches no visible surface is logged.
 
     Args:
         photo: light of the photos where it is divided out; None where it is kept.
@@ -132,7 +132,6 @@ def named_setup(name: str, anchors: LightAnchors, photo: PhotoLight | None = Non
         if photo is not None:
             setup = bounded(setup, lux, anchors.seen, measured_response(setup.lights, anchors.seen, photo))
     warn_of_missing(setup, lux, name)
-    tell_made_up(name, anchors, setup.lights)
     return _on_device(setup)
 
 

@@ -88,13 +88,12 @@ class Scene:
             raise InputError(f"{capture.name}: the capture has no frames")
         if np.shape(capture.up) != (3,) or abs(np.linalg.norm(capture.up) - 1.0) > UNIT_TOLERANCE:
             raise InputError(f"{capture.name}: 'up' must be a unit vector of three numbers, got {capture.up!r}")
-        self.capture, self.size, self.source = capture, size, source
+        self.capture, self.size, self.source, self._sources_file = capture, size, source, photo_sources
         self.caster = RayCaster(mesh)
         self._anchors: dict[bool, LightAnchors] = {}
         self.exact, self._detail, self._completed = exact, detail, None if not exact else self.caster
-        self.kept_maps, self.maps_on_disk = KeptMaps(), True
+        self.kept_maps, self.maps_on_disk, self._progress = KeptMaps(), True, progress
         self.settings: SceneSettings | None = None
-        self._sources_file, self._progress = photo_sources, progress
 
     @classmethod
     @checked_arguments
@@ -222,14 +221,19 @@ class Scene:
         if is_light_file(name):
             return read_lights(Path(name), self.capture.up)
         check_setup_name(name)
+        anchors = self.anchors(at_photo_sources=at_photo_sources)
+        if not exposed:
+            return placed_setup(name, anchors)
+        photo = self.photo_light.estimate.light if at_photo_sources else None
+        return named_setup(name, anchors, photo)
+
+    def anchors(self, *, at_photo_sources: bool = False) -> LightAnchors:
+        """Places of the lights of named set-ups, found once. Argument: see `lights`."""
         found = at_photo_sources and (self._sources_file is not None or not self.capture.anchors)
         if found not in self._anchors:
             known = self.photo_light.sources.anchors if found else None
             self._anchors[found] = survey_capture(self.caster, self.capture, known)
-        if not exposed:
-            return placed_setup(name, self._anchors[found])
-        photo = self.photo_light.estimate.light if at_photo_sources else None
-        return named_setup(name, self._anchors[found], photo)
+        return self._anchors[found]
 
     @property
     def occluders(self) -> RayCaster:
@@ -327,11 +331,7 @@ class Scene:
 
     @checked_arguments
     def surface_light(
-        self,
-        lights: LightSetup | Sequence[Light],
-        *,
-        shadows: bool = True,
-        occluders: Occluders = "completed",
+        self, lights: LightSetup | Sequence[Light], *, shadows: bool = True, occluders: Occluders = "completed"
     ) -> SurfaceLight:
         """Photo's own light and the bounces of new lights, on the vertices; those of the last lights are kept.
 

@@ -54,7 +54,6 @@ def quiet_libraries() -> None:
     handler = _AboveBars()
     handler.setFormatter(OneLine("hyjax: %(message)s"))
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
-    logging.getLogger("hyjax.scene.light_places").setLevel(logging.INFO)  # what is made up
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     if sys.stderr is None or not sys.stderr.isatty():
         os.environ.setdefault("TQDM_MININTERVAL", str(FILE_SECONDS))

@@ -15,7 +15,7 @@ from hyjax.light.kinds import DirectionalLight, PointLight, RectLight
 from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import dark_share
 from hyjax.scene.exposure import bounded, exposed, warn_of_missing
-from hyjax.scene.light_places import LightAnchors, survey
+from hyjax.scene.light_places import LightAnchors, survey, tell_made_up
 from hyjax.scene.light_response import Response, kinds_of, paleness
 from hyjax.scene.light_setups import EXPOSURES, SETUPS, named_setup, placed_setup
 from hyjax.scene.relighter import Relighter
@@ -147,24 +147,25 @@ def test_places_that_are_made_up_are_said(
     room: RoomCapture, room_caster: RayCaster, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Of the lights that a set-up uses."""
-    caplog.set_level("INFO", "hyjax.scene.light_places")
+
+    def said(name: str, anchors: LightAnchors) -> list[str]:
+        caplog.clear()
+        tell_made_up(name, anchors, named_setup(name, anchors).lights)
+        return caplog.messages
+
     cameras = [frame.camera for frame in room]
-    named_setup("evening-lamps", survey(room_caster, cameras, room.up, room.anchors))
-    assert not caplog.messages
+    assert not said("evening-lamps", survey(room_caster, cameras, room.up, room.anchors))
     without = {name: place for name, place in room.anchors.items() if not name.startswith("window")}
     found = survey(room_caster, cameras, room.up, without)
-    named_setup("noon-window", found)
     places = ", ".join("({:.1f}, {:.1f}, {:.1f})".format(*window.center) for window in found.windows)
-    assert caplog.messages == [
+    assert said("noon-window", found) == [
         f"noon-window: made up: windows at {places}; if yours are elsewhere, give them with --photo-sources FILE"
     ]
-    caplog.clear()
     bare = survey(room_caster, cameras, room.up)
-    named_setup("evening-lamps", bare)
-    assert "lamps at (" in caplog.text and ") and windows at (" in caplog.text
-    caplog.clear()
-    named_setup("golden-hour", bare)
-    assert "windows at (" in caplog.text and "lamp" not in caplog.text
+    (line,) = said("evening-lamps", bare)
+    assert "lamps at (" in line and ") and windows at (" in line
+    (line,) = said("golden-hour", bare)
+    assert "windows at (" in line and "lamp" not in line
 
 
 def test_made_up_window_faces_what_is_looked_at(box: RayCaster) -> None:

@@ -156,7 +156,7 @@ def test_same_seed_same_pictures(room: Room) -> None:
 def test_the_photographs_that_are_shipped_are_rendered_ones(
     room: Room, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Those of two frames, but for rounding; with `HYJAX_WRITE_ROOM=1` all are rendered and written."""
+    """Those of two frames, all but for single pixels; with `HYJAX_WRITE_ROOM=1` all are rendered and written."""
     import hyjax.data.builtin_room as module
     from hyjax.synthetic.room import _bake
     from hyjax.synthetic.room.render import photograph
@@ -169,11 +169,13 @@ def test_the_photographs_that_are_shipped_are_rendered_ones(
     monkeypatch.delattr(module, "_rendered")
     shipped = load_room(cache_dir=tmp_path, progress=False)
     assert f"room-v{module.VERSION}-" in module.SHIPPED and len(shipped) == 24
+    # Without AVX-512 (an AMD EPYC) 0.3 % of the pixels are others, and the exposure 0.1 % longer; why is not known.
+    wide = "X86_V4" in np.show_config(mode="dicts")["SIMD Extensions"]["found"]
+    most_single, most_mean = (1e-3, 0.01 / 255) if wide else (5e-3, 0.3 / 255)
     for number in (0, 13):
         image, depth = photograph(baked, cameras[number], number)
         apart = np.abs(shipped[number].image - image).max(axis=-1)
-        # They were rendered on another processor: an AMD EPYC has 0.3 % of these pixels, and 0.25 steps on average.
-        assert np.mean(apart > 1.5 / 255) < 1e-2 and apart.mean() < 0.5 / 255
+        assert np.mean(apart > 1.5 / 255) < most_single and apart.mean() < most_mean
         np.testing.assert_allclose(shipped[number].depth, depth, atol=1e-5)
     (tmp_path / "000.webp").write_bytes((module.PHOTOGRAPHS / "000.webp").read_bytes()[:1000])
     monkeypatch.setattr(module, "PHOTOGRAPHS", tmp_path)

@@ -1,5 +1,6 @@
 """Renderer: the same pictures as `hyjax relight`, nothing computed twice, furniture that moves."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -194,6 +195,13 @@ def test_brightness_leaves_the_shadow_pass_and_a_place_does_not(
         assert len(passes) == expected
         fresh = Renderer(renderer.place, configuration=renderer.configuration)
         np.testing.assert_array_equal(fresh.render(replace(plan, lamps=(changed,)), VIEW).linear, made)
+
+
+def test_candles_flicker_in_flight(renderer: Renderer, plan: TourPlan) -> None:
+    candle = replace(place_lamp("candle", np.array([0.5, 0.4, 1.2]), UP), lumen=500.0)
+    night, flight = replace(plan, hour=0.0, lamps=(candle,)), dataclasses.replace(VIEW, camera=renderer.camera(0))
+    steady, bright, dim = (renderer.render(night, flight, seconds=s).linear.mean() for s in (0.0, 0.2, 0.4))
+    assert len({float(steady), float(bright), float(dim)}) == 3 and np.ptp([steady, bright, dim]) < 0.5 * steady
 
 
 def test_a_picture_can_be_cancelled_and_its_shadow_maps_are_kept(
