@@ -62,6 +62,7 @@ class DaskPool:
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._batches: dict[Any, TaskBatch] = {}
         self._threads: dict[str, int] = client.nthreads()
+        self._looked = time.monotonic()
 
     @classmethod
     def open(cls, workers: int | None, scheduler: str | None, folder: Path, tell: Tell) -> "DaskPool":
@@ -109,7 +110,10 @@ class DaskPool:
             time.sleep(SETTLING_SECONDS)
         while not self._ended.empty():
             futures.append(self._ended.get())
-        return [self._outcome(future) for future in futures]
+        outcomes = [self._outcome(future) for future in futures]
+        if time.monotonic() - self._looked > POLL_SECONDS:  # many workers leave no pause between results
+            self._look()
+        return outcomes
 
     def _outcome(self, future: Any) -> tuple[TaskBatch, Outcome | None]:
         from distributed import KilledWorker
@@ -133,6 +137,7 @@ class DaskPool:
 
     def _look(self) -> None:
         """Report workers lost by a scheduler elsewhere, which runs their tasks again by itself."""
+        self._looked = time.monotonic()
         if self._address is None:
             return
         try:

@@ -14,7 +14,9 @@ Payload = dict[str, Any]
 
 
 def double(payload: Payload) -> Payload:
-    """Twice a number; a line in a log for every call."""
+    """Twice a number; a line in a log for every call; for numbers above 20, once the gate's file is there."""
+    while "gate" in payload and payload["number"] > 20 and not Path(payload["gate"]).exists():
+        time.sleep(0.02)
     if "log" in payload:
         with Path(payload["log"]).open("a") as file:
             file.write(f"{payload['number']}\n")
