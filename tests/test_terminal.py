@@ -119,8 +119,8 @@ def test_help_beside_a_long_argument_comes_once(
             "Error parsing --seed: invalid literal for int() with base 10: 'x'",
         ),
         (
-            ["info", "--capture", "x"],
-            "Unrecognized or misplaced options: --capture (applied to hyjax info) x (applied to hyjax info), which "
+            ["info", "--frames", "x"],
+            "Unrecognized or misplaced options: --frames (applied to hyjax info) x (applied to hyjax info), which "
             "other commands have",
         ),
         (["relight", "--size"], "Missing value for argument '--size'. Expected 1 values"),
@@ -130,6 +130,10 @@ def test_help_beside_a_long_argument_comes_once(
             "serve, convert, info",
         ),
         (["relight", "kitchen"], "kitchen: is no option; a capture is given as --capture kitchen"),
+        (
+            ["info", "--capture", "kitchen"],
+            "--capture: is no option here; the capture is given by itself: hyjax info kitchen",
+        ),
     ],
 )
 def test_a_usage_error_is_one_line(

@@ -83,6 +83,7 @@ class Capture(abc.ABC):
         sensor: that measured the depth.
         metric: whether its lengths are metres, as far as is known.
         depth_in_units: whether depth is in the unit of the poses, as it is where it was computed from pictures.
+        times_known: whether the times of its frames were recorded; otherwise their order gives them.
         faults: what is damaged and was left out, a line each; `open_capture` warns of them, or refuses them.
         remarks: what else is worth telling, a line each.
         format: name of the layout that it was read from; empty where it was made in memory.
@@ -94,6 +95,7 @@ class Capture(abc.ABC):
     sensor: DepthSensor = UNKNOWN
     metric: bool = True
     depth_in_units: bool = False
+    times_known: bool = True
     faults: Sequence[str] = ()
     remarks: Sequence[str] = ()
     format: str = ""
@@ -208,7 +210,7 @@ class CaptureFormat:
     signs: str
 
 
-DESCRIPTION = ("name", "up", "sensor", "metric", "depth_in_units", "format", "strict")
+DESCRIPTION = ("name", "up", "sensor", "metric", "depth_in_units", "times_known", "format", "strict")
 """Attributes that hold of all frames and of some."""
 
 

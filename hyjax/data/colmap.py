@@ -113,6 +113,7 @@ def open_colmap(tree: FileTree) -> Capture:
         metric=scale is not None,
         depth_in_units=not has_sensor,
     )
+    recording.times_known = False
     return recording if scale is None else ScaledCapture(recording, scale)
 
 

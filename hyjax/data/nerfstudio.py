@@ -83,7 +83,7 @@ def open_nerfstudio(tree: FileTree) -> Recording:
     up, up_remarks = _up(top, [shot.pose for shot in shots], has_depth, tree) if shots else (Z_UP, [])
     if listing != NAMES[0]:
         up_remarks = [*up_remarks, f"there is no {NAMES[0]}; the frames are those of {listing}"]
-    return Recording(
+    recording = Recording(
         tree,
         shots,
         up=up,
@@ -92,6 +92,8 @@ def open_nerfstudio(tree: FileTree) -> Recording:
         metric=has_depth,
         depth_in_units=True,
     )
+    recording.times_known = False
+    return recording
 
 
 def _find(tree: FileTree, path: str) -> str | None:

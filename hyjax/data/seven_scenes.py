@@ -61,7 +61,9 @@ def open_seven_scenes(tree: FileTree) -> Recording:
         )
         for number, name in whole.items()
     ]
-    return Recording(tree, shots, up=read_up(tree), faults=faults.lines(), remarks=remarks, turn=False)
+    recording = Recording(tree, shots, up=read_up(tree), faults=faults.lines(), remarks=remarks, turn=False)
+    recording.times_known = False
+    return recording
 
 
 def _numbered_colours(tree: FileTree) -> dict[int, str]:

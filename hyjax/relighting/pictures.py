@@ -15,7 +15,7 @@ from hyjax.util.clock import StageClock
 from hyjax.util.images import write_exr, write_png
 from hyjax.util.programs import run_kept
 
-HEADINGS = ("frame", "raw filter", "refined filter", "visibility", "raw filter x frame", "relit")
+HEADINGS = ("frame", "relit", "raw filter", "refined filter", "visibility", "raw filter x frame")
 
 
 def written_pictures(
@@ -65,11 +65,11 @@ def sheet_row(frame: Frame, relit: Relit, mode: Mode) -> list[Float[np.ndarray, 
     dim = 1.0 if paper else max(1.0, float(np.percentile(np.asarray(relit.refined), 98)))
     return [
         frame.image,
+        _shown(relit.image),
         _shown(np.asarray(relit.shading) / np.float32(dim), encoded=paper),
         _shown(np.asarray(relit.refined) / np.float32(dim), encoded=paper),
         _shown(relit.visibility, encoded=True),
         _shown(relit.unrefined),
-        _shown(relit.image),
     ]
 
 

@@ -190,11 +190,7 @@ def relight_run(
                 f"{scene.capture.name}: no ray of any chosen frame met the mesh; are the mesh and the poses in the "
                 "same coordinates (metres, camera-to-world)?"
             )
-        if (
-            divides
-            and scene.photo_light.sources.origin in ("found", "none")
-            and scene.photo_light.estimate.exponent
-        ):
+        if divides and scene.photo_light.sources.origin != "capture" and scene.photo_light.estimate.exponent:
             _log.warning("%s: %s", scene.capture.name, scene.photo_light.summary(scene.photo_light.estimate))
         if str(asked) in SETUPS:
             tell_made_up(str(asked), scene.anchors(at_photo_sources=divides), setup.lights)
@@ -256,7 +252,7 @@ def tell_of_exposure(summary: "_Summary", setup: LightSetup, file: str, *, dark:
     told = ((too_dark, summary.dark if dark else []), (too_bright, summary.bright))
     for message, names in told:
         if names:
-            first = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
+            first = ", ".join(f"{name}.relit.png" for name in names[:3]) + (", …" if len(names) > 3 else "")
             _log.warning(message, len(names), len(summary.written), first, float(setup.reference_lux), file)
 
 

@@ -26,7 +26,7 @@ class RelightSettings(Settings):
     scene: SceneSettings = dataclasses.field(default_factory=SceneSettings)
     frames: str = "all"
     """Which frames, by position in the capture: all, 7, 0:300:30, or a list such as 0,5,9:12."""
-    lights: str = "noon-window"
+    lights: str = "evening-lamps"
     """noon-window, golden-hour, evening-lamps, night-moon, center-point, two-colors, or a YAML or JSON file."""
     configuration: str | None = None
     """quality, balanced, fast, default, paper, or a JSON file that tune wrote: all that follows on how a frame is

@@ -164,7 +164,7 @@ def tell_coverage(capture: Capture, description: str, coverage: Coverage) -> Non
         )
     elif coverage.covered < LOW_COVERAGE:
         _log.warning(
-            "%s: the %s has %.0f %% of the depth readings (median distance %.3g m); holes are lit as their "
+            "%s: the %s agrees with %.0f %% of the depth readings (%.3g m off, median); its holes are lit as their "
             "surroundings are",
             capture.name,
             description,

@@ -48,13 +48,14 @@ class ShownFrame:
     depth: Float[np.ndarray, "dh dw"] | None
 
     @classmethod
-    def of(cls, frame: Frame) -> "ShownFrame":
+    def of(cls, frame: Frame, *, times_known: bool) -> "ShownFrame":
         """Frame with means of the cells of its picture."""
         height, width = frame.image.shape[:2]
         step = max(1, max(height, width) // SHOWN_LENGTH)
         rows, columns = max(1, height // step), max(1, width // step)
         cells = frame.image[: rows * step, : columns * step].reshape(rows, -1, columns, min(step, width), 3)
-        return cls(f"{frame.name}, {frame.time:.1f} s", cells.mean(axis=(1, 3)), frame.depth)
+        title = f"{frame.name}, {frame.time:.1f} s" if times_known else frame.name
+        return cls(title, cells.mean(axis=(1, 3)), frame.depth)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,7 +65,7 @@ class Inspection:
     Attributes:
         sizes: (width, height) of the pictures that were read.
         exposures: seconds of the pictures that were read, where the device records them.
-        seconds: from the first frame to the last.
+        seconds: from the first frame to the last; 0 where times were not recorded.
         positions: of the cameras, metres.
         depth_size: (width, height) of the depth maps; None without any.
         coverage: agreement of mesh and depth; without a mesh, only the share with depth; None without depth.
@@ -172,7 +173,7 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
         sizes.append((frame.camera.intrinsics.width, frame.camera.intrinsics.height))
         times.append(frame.time)
         if index in pictured:
-            shown.append(ShownFrame.of(frame))
+            shown.append(ShownFrame.of(frame, times_known=capture.times_known))
         if frame.exposure is not None:
             exposures.append(frame.exposure)
     if not sizes:
@@ -202,7 +203,7 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
         else:
             doubts.append("the depth maps have no readings")
     doubts += _doubts(capture, positions, mesh, coverage)
-    seconds = max(times) - min(times)
+    seconds = max(times) - min(times) if capture.times_known else 0.0
     return Inspection(
         capture,
         sizes,

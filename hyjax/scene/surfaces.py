@@ -168,8 +168,8 @@ def _captured_or_fused(
         fused_coverage = _coverage(capture, fused[1], fusion)
         if fused_coverage.covered > coverage.covered + LEAST_GAIN:
             _log.warning(
-                "%s: the %s has %.0f %% of the depth readings, the fusion of its depth %.0f %%: that is taken "
-                "(--mesh captured for the other)",
+                "%s: the %s agrees with %.0f %% of the depth readings, the fusion of its depth with %.0f %%: that "
+                "is taken (--mesh captured for the other)",
                 capture.name,
                 chosen[0],
                 100 * coverage.covered,

@@ -267,7 +267,7 @@ def test_a_captured_mesh_that_fits_is_the_default(
     monkeypatch.setenv("HYJAX_CACHE", str(tmp_path / "cache"))
     own = f"captured mesh {VIDEO}_3dod_mesh.ply"
     assert surface_of(open_capture(scan), progress=False)[0].startswith("fusion of")  # the box is another's
-    assert f"the {own} has" in caplog.text and "that is taken" in caplog.text
+    assert f"the {own} agrees with" in caplog.text and "that is taken" in caplog.text
     save_mesh(scan / f"{VIDEO}_3dod_mesh.ply", room.reference())
     assert surface_of(open_capture(scan), progress=False)[0] == own
 

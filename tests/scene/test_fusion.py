@@ -176,7 +176,7 @@ def test_little_coverage_and_other_axes_are_told(caplog: pytest.LogCaptureFixtur
     assert not caplog.messages
     half = submesh(mesh, mesh.triangles_center[:, 1] > 0.15)
     tell_coverage(capture, "half", coverage_of(capture, half))
-    assert "walls: the half has" in caplog.text and "% of the depth readings" in caplog.text
+    assert "walls: the half agrees with" in caplog.text and "% of the depth readings" in caplog.text
     caplog.clear()
     aside = mesh.copy()
     aside.apply_translation([0, 100, 0])

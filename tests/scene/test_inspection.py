@@ -78,6 +78,13 @@ def test_what_a_capture_holds() -> None:
         assert part in text
 
 
+def test_times_that_were_not_recorded_are_not_told() -> None:
+    walk = Walk(wall(2.01))
+    walk.times_known = False
+    found = inspect(walk, progress=False)
+    assert "frames: 6\n" in told(found) and found.shown[0].title == "0"
+
+
 @pytest.mark.parametrize(
     ("capture", "doubt"),
     [
