@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from hyjax.data.capture import Capture
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
-from hyjax.light.kinds import Aperture, Light, PointLight, RectLight
+from hyjax.light.kinds import Aperture, Light, PointLight, RectLight, SkyLight
 from hyjax.scene.seen_surface import SeenSurface
 from hyjax.util.vectors import fibonacci_sphere, perpendicular, reject, unit
 
@@ -51,6 +51,8 @@ WALL_DISTANCES = (0.6, 6.0)
 """Least and largest distance, in metres, of a wall for a window from the middle of a stop."""
 OUTER_DEPTH = (0.15, 3.0)
 """Depths, in metres, behind an outer wall between which nothing was scanned."""
+LEAST_OPEN = 0.5
+"""Least share of the seen surface with nothing above it for a place without walls to lie under the open sky."""
 AZIMUTHS = 16
 """Number of directions in which walls are looked for."""
 
@@ -62,12 +64,14 @@ class WindowPlace:
     Attributes:
         inward: unit normal, into the room.
         width, height: in metres.
+        in_wall: whether it is known, or in a wall that was scanned; otherwise it is in free space.
     """
 
     center: Vector
     inward: Vector
     width: float
     height: float
+    in_wall: bool = True
 
     def opening(self, up: Vector) -> Aperture:
         """Opening of the window, a centimetre inside its wall."""
@@ -102,6 +106,8 @@ class LightAnchors:
             any, `points`, moved clear of surfaces.
         windows: the room's own windows, and those of the stops that none of these reaches.
         made_up: places of the lamps and windows that are not the room's own.
+        open_sky: whether light from outside comes from all around: no window is known, and neither a wall for one
+            nor a ceiling was scanned.
     """
 
     up: Vector
@@ -112,6 +118,7 @@ class LightAnchors:
     stops: list[Stop]
     seen: SeenSurface
     made_up: dict[str, list[Vector]]
+    open_sky: bool
 
 
 def survey(
@@ -144,7 +151,8 @@ def survey(
     if not lamps:
         lamps = [_cleared(caster, place, _nearest(few_eyes, eye), up) for place in points]
     made_up = {"lamp": lamps[own_lamps:], "window": [window.center for window in windows[own_windows:]]}
-    return LightAnchors(up, focus, points, lamps, windows, stops, seen, made_up)
+    open_sky = not any(window.in_wall for window in windows) and seen.under_open_sky(up) >= LEAST_OPEN
+    return LightAnchors(up, focus, points, lamps, windows, stops, seen, made_up, open_sky)
 
 
 def survey_capture(caster: RayCaster, capture: Capture, anchors: Mapping[str, Any] | None = None) -> LightAnchors:
@@ -168,6 +176,10 @@ def tell_made_up(name: str, anchors: LightAnchors, lights: Sequence[Light]) -> N
         used = [p for p in places if any(np.linalg.norm(p - center) < SAME_PLACE for center in centers[kind])]
         if used:
             texts.append(f"{kind}{'s' * (len(used) > 1)} at " + ", ".join(map(_text, used)))
+    if anchors.open_sky and any(isinstance(light, SkyLight) for light in lights):
+        _log.warning(
+            "%s: neither wall nor ceiling was scanned; its light from outside comes from an open sky", name
+        )
     if texts:
         made_up = " and ".join(texts)
         _log.warning("%s: made up: %s; if yours are elsewhere, give them with --photo-sources FILE", name, made_up)
@@ -263,7 +275,9 @@ def _made_up_window(caster: RayCaster, seen: SeenSurface, stop: Stop, up: Vector
     if not places:  # beside the view, to the side with more room
         for side in (aside, -aside):
             reach = min(_free(caster, middle, side), 2.5)
-            places.append(WindowPlace(middle + 0.9 * reach * side, -side, WINDOW_WIDTH, WINDOW_HEIGHT))
+            places.append(
+                WindowPlace(middle + 0.9 * reach * side, -side, WINDOW_WIDTH, WINDOW_HEIGHT, in_wall=False)
+            )
     lights = [RectLight.filling(place.opening(up), 1000.0, np.ones(3)) for place in places]
     lux = seen.chosen(stop.points).lux(lights)
     return places[int(np.argmax(np.log(lux + 1.0).mean(axis=0)))]

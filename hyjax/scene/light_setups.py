@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.light.color import blackbody
-from hyjax.light.kinds import AmbientLight, DirectionalLight, PointLight, RectLight
+from hyjax.light.kinds import AmbientLight, DirectionalLight, Light, PointLight, RectLight, SkyLight
 from hyjax.light.kinds.directional import SUN_DEGREES
 from hyjax.light.kinds.file_keys import direction
 from hyjax.light.photo_light import PhotoLight
@@ -37,6 +37,8 @@ MOST_LAMPS = 10
 LAMP_LUMENS = 900.0
 NOON_SKY, EVENING_SKY, DUSK_SKY, NIGHT_SKY = 950.0, 300.0, 36.0, 2.1
 """Lumens of a square metre of window by noon, by a low sun, at dusk and at night."""
+OPEN_SKY_SHARE = 0.25
+"""Lux of an open sky for a lumen of a square metre of window: beside the open sun it is darker than in a room."""
 LOW_SUN, SUNSET_SKY = 3000.0, 4500.0
 """Colour temperatures of a low sun, and of the sky and ground around it in a window."""
 EXPOSURES = {
@@ -168,8 +170,10 @@ def _not_dark(
     return LightSetup(lights, max(float(median) / PAPER_SHARE, least)), lux
 
 
-def _sky(anchors: LightAnchors, exitance: float, color: Any) -> list[RectLight]:
-    """Sky in all windows, `exitance` lumens a square metre."""
+def _sky(anchors: LightAnchors, exitance: float, color: Any) -> list[Light]:
+    """Sky in all windows, `exitance` lumens a square metre; without walls a share of that from all around."""
+    if anchors.open_sky:
+        return [SkyLight(direction(anchors.up), OPEN_SKY_SHARE * exitance, color)]
     return [
         RectLight.filling(window.opening(anchors.up), exitance * window.width * window.height, color)
         for window in anchors.windows
@@ -179,7 +183,7 @@ def _sky(anchors: LightAnchors, exitance: float, color: Any) -> list[RectLight]:
 def _sun(
     anchors: LightAnchors, elevations: tuple[float, float, float], illuminance: float, color: Any
 ) -> list[DirectionalLight]:
-    """Parallel light through the windows, from where it falls into many pictures.
+    """Parallel light through the windows, from where it falls into many pictures; without walls everywhere.
 
     Args:
         elevations: degrees above the horizon: the usual, the least and the most.
@@ -187,6 +191,10 @@ def _sun(
         color: linear RGB.
     """
     usual, least, most = elevations
+    radius = np.deg2rad(SUN_DEGREES)
+    if anchors.open_sky:
+        travel = _travel(anchors.up, anchors.windows[0].inward, SUN_TANGENTS[0], usual)
+        return [DirectionalLight(direction(travel), illuminance, color, radius)]
     choices = [(aside, usual) for aside in SUN_TANGENTS]
     choices += [(aside, height) for height in np.linspace(least, most, 5) for aside in SUN_TANGENTS]
     found = []
@@ -202,7 +210,7 @@ def _sun(
     best_first = sorted(lit, key=lambda each: -each[0])[:MOST_SUNS]
     through = [window for share, window in best_first if share > 0] or [anchors.windows[0]]
     return [
-        DirectionalLight(direction(travel), illuminance, color, np.deg2rad(SUN_DEGREES), window.opening(anchors.up))
+        DirectionalLight(direction(travel), illuminance, color, radius, window.opening(anchors.up))
         for window in through
     ]
 

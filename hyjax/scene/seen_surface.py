@@ -15,6 +15,8 @@ from hyjax.util.errors import InputError
 
 OFFSET = 0.02
 """Distance from the surface, in metres, where rays to lights start."""
+FAR = 1000.0
+"""Distance, in metres, beyond which nothing stands before the sky."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,6 +85,11 @@ class SeenSurface:
         lit[lit] = ~self._blocked(lit, -travel[None] * np.maximum(t[lit] - OFFSET, 0.0)[:, None])
         return lit
 
+    def under_open_sky(self, up: Float[np.ndarray, "3"]) -> float:
+        """Share of the points that have nothing above them."""
+        every = np.ones(len(self.points), bool)
+        return float((~self._blocked(every, np.tile(FAR * up, (len(every), 1)))).mean())
+
     def lux(self, lights: Sequence[Light]) -> Float[np.ndarray, "n l"]:
         """Illuminance of lights on the points, with shadows; times the strongest channels of their colours."""
         lux = point_lux(self.points, self.normals, lights)
@@ -92,6 +99,8 @@ class SeenSurface:
         every = np.ones(len(self.points), bool)
         if isinstance(light, DirectionalLight) and light.aperture is not None:
             free = self.reached_through(light.aperture, np.asarray(light.direction, float))
+        elif isinstance(light, DirectionalLight):
+            free = ~self._blocked(every, np.tile(-FAR * np.asarray(light.direction, float), (len(every), 1)))
         elif isinstance(light, PointLight):
             to = np.asarray(light.position, float) - self.points
             length = np.linalg.norm(to, axis=1, keepdims=True)

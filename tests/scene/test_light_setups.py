@@ -11,7 +11,7 @@ from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_display
-from hyjax.light.kinds import DirectionalLight, PointLight, RectLight
+from hyjax.light.kinds import DirectionalLight, PointLight, RectLight, SkyLight
 from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import dark_share
 from hyjax.scene.exposure import bounded, exposed, warn_of_missing
@@ -274,6 +274,46 @@ def test_an_open_surface_gives_finite_places() -> None:
         setup = named_setup(name, stage)
         assert finite(setup)
         assert all(place[2] > 0 for place, _ in places(setup))
+
+
+PATIO = trimesh.util.concatenate(
+    [
+        trimesh.creation.box(bounds=[[-2.0, -2.0, -0.1], [2.0, 2.0, 0.0]]),
+        trimesh.creation.box(bounds=[[-0.2, 0.0, 0.0], [0.2, 0.1, 0.8]]),
+    ]
+)
+"""A floor with something that stands on it."""
+PATIO_CAMERAS = [box_camera((0.5, -2, 1.5), (0, 0.3, 0.2)), box_camera((-0.8, -2, 1.4), (0.2, 0.3, 0))]
+
+
+def test_where_no_wall_was_scanned_the_sky_is_open(caplog: pytest.LogCaptureFixture) -> None:
+    """Sun and sky all around, with shadows in what is exposed for, and a line."""
+    anchors = survey(RayCaster(PATIO), PATIO_CAMERAS, UP)
+    for name in EXPOSURES:
+        setup = named_setup(name, anchors)
+        assert not any(isinstance(light, RectLight) for light in setup.lights)
+        assert sum(isinstance(light, SkyLight) for light in setup.lights) == 1
+        assert all(light.aperture is None for light in setup.lights if isinstance(light, DirectionalLight))
+    sun = next(light for light in named_setup("noon-window", anchors).lights if isinstance(light, DirectionalLight))
+    assert float(sun.direction[2]) < -0.5
+    assert 0 < (anchors.seen.lux([sun]) == 0).mean() < 0.5
+    tell_made_up("noon-window", anchors, named_setup("noon-window", anchors).lights)
+    assert caplog.messages == [
+        "noon-window: neither wall nor ceiling was scanned; its light from outside comes from an open sky"
+    ]
+
+
+@pytest.mark.parametrize("more", ["wall", "ceiling", "window"])
+def test_a_wall_a_ceiling_or_a_known_window_leaves_no_open_sky(more: str) -> None:
+    parts = {
+        "wall": trimesh.creation.box(bounds=[[-2.0, 2.0, 0.0], [2.0, 2.1, 2.5]]),
+        "ceiling": trimesh.creation.box(bounds=[[-2.0, -2.0, 2.4], [2.0, 2.0, 2.5]]),
+    }
+    mesh = trimesh.util.concatenate([PATIO, parts[more]]) if more in parts else PATIO
+    window = {"center": [2.0, 0.0, 1.2], "normal": [-1.0, 0.0, 0.0], "width": 1.2, "height": 1.0}
+    anchors = survey(RayCaster(mesh), PATIO_CAMERAS, UP, {"window_0": window} if more == "window" else None)
+    assert not anchors.open_sky
+    assert any(isinstance(light, RectLight) for light in named_setup("noon-window", anchors).lights)
 
 
 def test_unknown_names_and_unseen_meshes_are_refused(box: RayCaster) -> None:
