@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 Y_UP, Z_UP = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 MOST_METRES = 1e5
 """Metres from the world's origin beyond which a camera's position is taken for garbage."""
+MARGIN_WHITE, MARGIN_SHARE = 250 / 255, 0.4
+"""Least value of a margin's pixels, and their least share in its rows and columns."""
 AXIS_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 DepthAndConfidence = tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"] | None]
@@ -119,7 +121,7 @@ class Recording(Capture):
         """The frame at a position; IndexError beyond the end ends a `for` loop."""
         shot = self._pictures[index]
         assert shot.picture is not None
-        image = shot.picture()
+        image = without_margin(shot.picture())
         intrinsics = shot.intrinsics
         if image.shape[:2] != intrinsics.shape:
             raise InputError(
@@ -160,6 +162,21 @@ class Recording(Capture):
 
             self._mesh = load_mesh(Path(self._mesh_name), repair=True, content=self._tree.read(self._mesh_name))
         return self._mesh
+
+
+def without_margin(image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
+    """Picture with a white margin on all four sides made black, which no light brightens: it shows nothing.
+
+    NYU's pictures have one, where the lens' distortion was undone.
+    """
+    if any((side < MARGIN_WHITE).any() for side in (image[0], image[-1], image[:, 0], image[:, -1])):
+        return image
+    white = (image >= MARGIN_WHITE).all(axis=-1)
+    rows, columns = (np.flatnonzero(white.mean(axis=axis) < MARGIN_SHARE) for axis in (1, 0))
+    if not len(rows) or not len(columns):
+        return image
+    white[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] = False
+    return np.where(white[..., None], np.float32(0.0), image)
 
 
 def _read_depth(

@@ -96,7 +96,9 @@ def _sample(caster: RayCaster, frame: Frame) -> Sample:
     index, cosine = index[free], cosine[free]
     column, row = np.floor(pixel[index]).astype(int).T
     image = np.asarray(frame.image)
-    # The mean over a few pixels: a vertex stands for its surroundings.
-    display = np.mean([image[row + i, column + j] for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
+    # The mean over a few pixels: a vertex stands for its surroundings. None are of a picture's black margin.
+    pixels = np.stack([image[row + i, column + j] for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    shown = (pixels.max(axis=-1) > 0).all(axis=0)
+    index, cosine, display = index[shown], cosine[shown], pixels[:, shown].mean(axis=0)
     share = cosine * np.where(display.max(axis=1) > SATURATED_VALUE, SATURATED_WEIGHT, 1.0)
     return index, linear(display), share

@@ -23,8 +23,8 @@ class Sighting:
         rays: of unit depth.
         depth: of the surface; infinite without.
         face: triangle that is seen, −1 without.
-        low: least of the three channels, display values; 0 on a white border.
-        known: pixels that are not of a white border.
+        low: least of the three channels, display values.
+        known: pixels that are not of a black margin.
     """
 
     frame: Frame
@@ -46,21 +46,9 @@ def sight(caster: RayCaster, frame: Frame) -> Sighting:
     rays = frame.camera.rays()[step // 2 :: step, step // 2 :: step]
     hits = caster.cast(frame.camera.origin, rays.reshape(-1, 3))
     shape = rays.shape[:2]
-    low = frame.image[step // 2 :: step, step // 2 :: step].min(axis=-1)
-    known = ~_white_border(low > SATURATED_VALUE)
+    image = frame.image[step // 2 :: step, step // 2 :: step]
     depth, face = hits.distance.reshape(shape), hits.face.reshape(shape)
-    return Sighting(frame, rays, depth, face, np.where(known, low, 0.0), known)
-
-
-def _white_border(burnt: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Rows and columns at the border that are burnt out all along, as in undistorted pictures."""
-    white = np.zeros_like(burnt)
-    for axis in (0, 1):
-        lines = burnt.mean(axis=1 - axis) > 0.6
-        for direction in (1, -1):
-            inner = np.cumprod(lines[::direction])[::direction].astype(bool)
-            white |= inner[:, None] if axis == 0 else inner[None]
-    return white
+    return Sighting(frame, rays, depth, face, image.min(axis=-1), image.max(axis=-1) > 0)
 
 
 Box = tuple[Float[np.ndarray, "5 3"], Float[np.ndarray, "5"]]

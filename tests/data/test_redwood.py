@@ -8,6 +8,7 @@ import pytest
 import small_capture as small
 from PIL import Image
 
+from hyjax.data.recording import without_margin
 from hyjax.data.registry import open_capture
 from hyjax.geometry.depth_sensor import KINECT
 from hyjax.util.errors import InputError
@@ -68,6 +69,25 @@ def test_positions_and_quaternions_and_depth_in_pgm_are_read_alike(folder: Path)
     (folder / "pose.txt").write_text("1 2 3\n")
     with pytest.raises(InputError, match=r"pose.txt: row 1 has 3 numbers, need tx ty tz qx qy qz qw"):
         open_capture(folder)
+
+
+@pytest.mark.parametrize("white", [1.0, 251 / 255])
+def test_a_white_margin_becomes_black(white: float) -> None:
+    """As NYU's pictures have; not what is white in the picture itself, nor a border on three sides."""
+    rng = np.random.default_rng(0)
+    picture = rng.uniform(0.1, 0.9, (48, 64, 3)).astype(np.float32)
+    picture[10:20, 30:40] = 1.0
+    bordered = picture.copy()
+    bordered[:3] = bordered[-2:] = bordered[:, :4] = bordered[:, -1:] = white
+    bordered[3, :40] = white  # the margin's last row, in part
+    bordered[4, 40:50] = 1.0  # a window that touches it
+    cut = without_margin(bordered)
+    assert (cut[:3] == 0).all() and (cut[:, :4] == 0).all() and (cut[3, :40] == 0).all()
+    np.testing.assert_array_equal(cut[4:-2, 4:-1], bordered[4:-2, 4:-1])
+    np.testing.assert_array_equal(cut[3, 40:-1], bordered[3, 40:-1])
+    bordered[-1, 5] = 0.5
+    for same in (picture, bordered, np.ones_like(picture)):
+        np.testing.assert_array_equal(without_margin(same), same)
 
 
 def test_more_poses_than_pictures_are_cut_with_a_line(folder: Path) -> None:

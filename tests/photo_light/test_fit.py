@@ -209,6 +209,18 @@ def test_radiance_is_read_from_frames_of_different_exposure(lit: Lit) -> None:
     assert spread(np.log(found.radiance[clear] / lit.radiance[clear])) < 0.08
 
 
+def test_a_black_margin_of_pictures_tells_no_radiance(lit: Lit) -> None:
+    frames = frames_of(lit)
+    plain = vertex_radiance(lit.caster, frames)
+    for frame in frames:
+        frame.image[:9] = frame.image[-9:] = frame.image[:, :9] = frame.image[:, -9:] = 0.0
+    found = vertex_radiance(lit.caster, frames)
+    both = found.weight > 0
+    assert 0.5 < both.sum() / (plain.weight > 0).sum() < 1.0
+    assert (found.radiance[both & (plain.weight == found.weight)] > 0).any(axis=1).all()
+    assert np.median(np.abs(np.log(found.radiance[both].mean(axis=1) / plain.radiance[both].mean(axis=1)))) < 0.02
+
+
 def test_display_values_are_decoded() -> None:
     np.testing.assert_allclose(linear(np.array([0.0, 0.04, 0.5, 1.0])), [0.0, 0.003096, 0.214041, 1.0], atol=1e-5)
 

@@ -1,10 +1,13 @@
 """Lit lamps in pictures: in rows overhead, at the border, and where they burn out what is around them."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
 
 from hyjax.data.capture import Frame
+from hyjax.data.recording import without_margin
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
 from hyjax.photo_light.ceiling_lamps import Blob, ceiling_lamps
@@ -62,7 +65,9 @@ def test_a_lamp_at_the_border_is_a_blob_and_a_white_border_is_none(box: RayCaste
     (blob,) = blobs_of(0, sight(box, frame))
     assert blob.direction @ unit(frame.camera.rays()[105, 4]) > 0.999
     frame.image[:4] = frame.image[-4:] = frame.image[:, :4] = frame.image[:, -4:] = 1.0
-    assert len(blobs_of(0, sight(box, frame))) == 1
+    bordered = dataclasses.replace(frame, image=without_margin(frame.image))
+    assert len(blobs_of(0, sight(box, bordered))) == 1
+    assert not sight(box, bordered).known[:4].any() and sight(box, bordered).known[4:-4, 4:-4].all()
 
 
 def test_a_lamp_is_found_that_burns_out_the_wall_and_touches_the_border(box: RayCaster) -> None:
