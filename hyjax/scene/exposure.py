@@ -36,12 +36,14 @@ class Exposure:
         ambient: illuminance of ambient lights over the reference; bounces are filled up to a share of it.
         sun: most of parallel light over the reference, where it falls on a surface that is seen.
         day: whether dark photos are lifted.
+        tolerance: share of its share that the median picture may lack before bounces are filled up for it.
     """
 
     share: float
     ambient: float
     sun: float
     day: bool = False
+    tolerance: float = 0.0
 
     def lifted(self, brightness: float) -> "Exposure":
         """Exposure of photos of a median brightness: by day, dark ones come out brighter than they were."""
@@ -131,7 +133,7 @@ def _least_ambient(
     least = exposure.ambient * response.filled_share
     for filled in np.linspace(least, max(least, MOST_FILLED * exposure.share), FILL_STEPS):
         light = (direct + np.maximum(bounced, filled * color)) / response.photo_light
-        if np.median(seen.of_cameras(light)) >= exposure.share:
+        if np.median(seen.of_cameras(light)) >= (1.0 - exposure.tolerance) * exposure.share:
             break
     return float(filled) / response.filled_share
 

@@ -50,6 +50,8 @@ SPOT_DEGREES = 20.0, 40.0
 SUN_RADIUS = np.asarray(np.deg2rad(0.27), np.float32)
 LEAST_AMBIENT = 1e-3
 """Lux: a picture is never entirely dark."""
+EXPOSURE = dataclasses.replace(EXPOSURES["noon-window"], tolerance=1e-4)
+"""Exposure of daylight. Most hours leave the median picture just its share: rounding must not fill bounces up."""
 KEPT_HOURS = 64
 """Lights from outside that are kept."""
 
@@ -137,7 +139,7 @@ class Lighting:
         every, seen = (*lights, AmbientLight(_float32(1.0), _color(mixed(flux)[1]))), self._seen
         lux, photo = seen.lux(every), self._photo
         response = assumed_response(every, lux, seen) if photo is None else measured_response(every, seen, photo)
-        setup = exposed(LightSetup(every), lux, seen, EXPOSURES["noon-window"], response)
+        setup = exposed(LightSetup(every), lux, seen, EXPOSURE, response)
         *shown, ambient = jax.tree.map(_float32, setup.lights)
         left = [_strength(new) / max(_strength(old), 1e-9) for new, old in zip(shown, lights, strict=True)]
         _, kelvin = mixed([(share * lumen, kelvin) for share, (lumen, kelvin) in zip(left, flux, strict=True)])
