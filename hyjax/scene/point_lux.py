@@ -21,6 +21,7 @@ def point_lux(
     """Lux of each light on points, without shadows and before its colour."""
     lux = np.zeros((len(points), len(lights)), np.float32)
     every = np.ones((1, POINTS_AT_ONCE), bool)
+    confidence, hit = jax.device_put((every.astype(np.float32), every))
     for start in range(0, len(points), POINTS_AT_ONCE):
         part = slice(start, start + POINTS_AT_ONCE)
         missing = POINTS_AT_ONCE - len(points[part])
@@ -28,7 +29,7 @@ def point_lux(
             np.pad(np.asarray(vectors[part], np.float32), [(0, missing), (0, 0)], mode="edge")[None]
             for vectors in (points, normals)
         )
-        block = GBuffer(*map(jax.device_put, (place, facing, every.astype(np.float32), every)))
+        block = GBuffer(jax.device_put(place), jax.device_put(facing), confidence, hit)
         for number, light in enumerate(lights):
             lux[part, number] = np.asarray(run_kept(shade_each, block, (light,)))[0, : len(points[part]), 0]
     return lux

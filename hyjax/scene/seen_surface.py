@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -27,7 +28,7 @@ class SeenSurface:
         caster: the surface.
         points: in world coordinates.
         normals: unit, towards the cameras.
-        camera: which camera sees each.
+        camera: which camera sees each; in rising order.
         face: triangle that each lies on.
     """
 
@@ -72,7 +73,8 @@ class SeenSurface:
 
     def of_cameras(self, values: Float[np.ndarray, "n"], quantile: float = 0.5) -> Float[np.ndarray, "c"]:
         """Quantile of values at the points that each camera sees, of the cameras that see any."""
-        return np.array([np.quantile(values[self.camera == c], quantile) for c in np.unique(self.camera)])
+        parts = np.split(values, np.flatnonzero(np.diff(self.camera)) + 1)
+        return np.array([_quantile(part, quantile) for part in parts])
 
     def reached_through(self, window: Aperture, travel: Float[np.ndarray, "3"]) -> Bool[np.ndarray, "n"]:
         """Points that parallel light along `travel` reaches through a window."""
@@ -92,26 +94,36 @@ class SeenSurface:
 
     def lux(self, lights: Sequence[Light]) -> Float[np.ndarray, "n l"]:
         """Illuminance of lights on the points, with shadows; times the strongest channels of their colours."""
-        lux = point_lux(self.points, self.normals, lights)
-        return np.stack([self._reached(light, lux[:, number]) for number, light in enumerate(lights)], axis=-1)
+        lux = np.zeros((len(self.points), len(lights)), np.float32)
+        for number, light in enumerate(lights):
+            free, strongest = self._reached(light), float(np.asarray(light.color).max())
+            lux[free, number] = point_lux(self.points[free], self.normals[free], [light])[:, 0] * strongest
+        return lux
 
-    def _reached(self, light: Light, lux: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    def _reached(self, light: Light) -> Bool[np.ndarray, "n"]:
         every = np.ones(len(self.points), bool)
         if isinstance(light, DirectionalLight) and light.aperture is not None:
-            free = self.reached_through(light.aperture, np.asarray(light.direction, float))
-        elif isinstance(light, DirectionalLight):
-            free = ~self._blocked(every, np.tile(-FAR * np.asarray(light.direction, float), (len(every), 1)))
-        elif isinstance(light, PointLight):
+            return self.reached_through(light.aperture, np.asarray(light.direction, float))
+        if isinstance(light, DirectionalLight):
+            return ~self._blocked(every, np.tile(-FAR * np.asarray(light.direction, float), (len(every), 1)))
+        if isinstance(light, PointLight):
             to = np.asarray(light.position, float) - self.points
             length = np.linalg.norm(to, axis=1, keepdims=True)
             clear = float(light.clearance) + float(light.radius)
-            free = ~self._blocked(every, to * np.maximum(1.0 - clear / np.maximum(length, 1e-6), 0.0))
-        elif isinstance(light, RectLight):
-            free = ~self._blocked(every, 0.97 * (np.asarray(light.center, float) - self.points))
-        else:
-            free = every
-        return np.where(free, lux, 0.0) * float(np.asarray(light.color).max())
+            return ~self._blocked(every, to * np.maximum(1.0 - clear / np.maximum(length, 1e-6), 0.0))
+        if isinstance(light, RectLight):
+            return ~self._blocked(every, 0.97 * (np.asarray(light.center, float) - self.points))
+        return every
 
     def _blocked(self, chosen: Bool[np.ndarray, "n"], to: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, "m"]:
         start = self.points[chosen] + OFFSET * self.normals[chosen]
         return self.caster.occluded(start, to, 1.0)
+
+
+def _quantile(values: Float[np.ndarray, "n"], quantile: float) -> Any:
+    """`numpy.quantile` to the last digit, in a tenth of its time for a few hundred values; not for NaN."""
+    low, share = divmod(quantile * (len(values) - 1), 1.0)
+    places = int(low), min(int(low) + 1, len(values) - 1)
+    lower, upper = np.partition(values, places)[list(places)]
+    step = upper - lower
+    return upper - step * (1.0 - share) if share >= 0.5 else lower + step * share

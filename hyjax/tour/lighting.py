@@ -23,9 +23,9 @@ from hyjax.light.kinds import (
     SpotLight,
 )
 from hyjax.light.photo_light import PhotoLight
-from hyjax.light.setup import REFERENCE_LUX, LightSetup
+from hyjax.light.setup import REFERENCE_LUX, LightSetup, geometry_key
 from hyjax.scene.exposure import exposed
-from hyjax.scene.light_response import assumed_response, measured_response
+from hyjax.scene.light_response import Response, assumed_response, measured_response
 from hyjax.scene.light_setups import EXPOSURES
 from hyjax.scene.seen_surface import SeenSurface
 from hyjax.tour.placement import as_point, compass, upright
@@ -53,7 +53,7 @@ LEAST_AMBIENT = 1e-3
 EXPOSURE = dataclasses.replace(EXPOSURES["noon-window"], tolerance=1e-4)
 """Exposure of daylight. Most hours leave the median picture just its share: rounding must not fill bounces up."""
 KEPT_HOURS = 64
-"""Lights from outside that are kept."""
+"""Hours that are kept, and lights with what each gives the seen surface."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Lighting:
         a, b, c = caster.mesh.extents
         self.up, self.surface_area = up, 2.0 * float(a * b + b * c + c * a)
         self._seen, self._photo = SeenSurface.of(caster, cameras)[0], photo
-        self._outside = LruCache(KEPT_HOURS)
+        self._outside, self._responses = LruCache(KEPT_HOURS), LruCache(KEPT_HOURS)
 
     def setup(self, plan: TourPlan, flicker: Mapping[int, float] | None = None) -> LightSetup:
         """Lights of a plan and the illuminance that the camera exposes for.
@@ -136,15 +136,35 @@ class Lighting:
         lights, flux = lights_from_outside(plan, self.up)
         if not lights:
             return Outside((), 0.0, NEUTRAL_KELVIN, 0.0)
-        every, seen = (*lights, AmbientLight(_float32(1.0), _color(mixed(flux)[1]))), self._seen
-        lux, photo = seen.lux(every), self._photo
-        response = assumed_response(every, lux, seen) if photo is None else measured_response(every, seen, photo)
-        setup = exposed(LightSetup(every), lux, seen, EXPOSURE, response)
+        every = (*lights, AmbientLight(_float32(1.0), _color(mixed(flux)[1])))
+        lux, response = self._response(every)
+        setup = exposed(LightSetup(every), lux, self._seen, EXPOSURE, response)
         *shown, ambient = jax.tree.map(_float32, setup.lights)
         left = [_strength(new) / max(_strength(old), 1e-9) for new, old in zip(shown, lights, strict=True)]
         _, kelvin = mixed([(share * lumen, kelvin) for share, (lumen, kelvin) in zip(left, flux, strict=True)])
         lumen = _strength(ambient) / self._thrown_back(1.0)
         return Outside(tuple(shown), lumen, kelvin, setup.reference_lux)
+
+    def _response(self, lights: Sequence[Light]) -> tuple[Float[np.ndarray, "n l"], Response]:
+        """Illuminance of lights on the seen surface, and its response: sums over what is kept of each light.
+
+        Both are linear in each light, and an hour leaves the windows' sky where it was.
+        """
+        seen, photo = self._seen, self._photo
+
+        def made(light: Light) -> tuple[Float[np.ndarray, "n"], Response]:
+            unit = [light.normalized()]
+            lux = seen.lux(unit)
+            own = assumed_response(unit, lux, seen) if photo is None else measured_response(unit, seen, photo)
+            return lux[:, 0], own
+
+        direct, own = zip(
+            *(self._responses(geometry_key(light), functools.partial(made, light)) for light in lights), strict=True
+        )
+        strength = np.array([_strength(light) for light in lights])
+        pale, strongest = (strength * [each(light.color) for light in lights] for each in (np.mean, np.max))
+        near, parallel = pale @ [r.near for r in own], pale @ [r.parallel for r in own]
+        return np.stack(direct, axis=-1) * strongest, dataclasses.replace(own[0], near=near, parallel=parallel)
 
     def _thrown_back(self, lumen: float) -> float:
         """Lux of the ambient light that lamps become."""

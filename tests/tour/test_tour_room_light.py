@@ -11,18 +11,25 @@ from msgspec.structs import replace
 need("tour")
 
 from box_room import TOP, BoxCapture, box_room, moved
+from reference.tour_plans import afternoon
 
 from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import UP
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
+from hyjax.light.kinds import AmbientLight
 from hyjax.light.photo_light import on_pixels
+from hyjax.light.setup import LightSetup
 from hyjax.photo_light.estimate import Estimate, read_estimate
+from hyjax.scene.exposure import exposed
+from hyjax.scene.light_response import measured_response
 from hyjax.scene.scene import Scene
+from hyjax.scene.seen_surface import SeenSurface
 from hyjax.tour import arrangement as arrangement_module
 from hyjax.tour.arrangement import Arrangement
 from hyjax.tour.furniture import merge_gbuffers
 from hyjax.tour.kept_plan import KeptPlan
+from hyjax.tour.lighting import EXPOSURE, lights_from_outside
 from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import Piece, TourPlan
 from hyjax.tour.renderer import Renderer
@@ -169,3 +176,19 @@ def test_moved_furniture_leaves_the_photo_light_as_it_was(renderer: Renderer) ->
     before = renderer.render(NIGHT, VIEW)
     renderer.render(replace(NIGHT, pieces=(replace(CUBE, pose=moved((0.0, -0.6, 0.0))),)), VIEW)
     np.testing.assert_array_equal(renderer.render(NIGHT, VIEW).linear, before.linear)
+
+
+@pytest.mark.parametrize("hour", [9.0, 14.0, 16.0])
+def test_light_that_is_kept_one_by_one_is_exposed_as_all_of_it_at_once(renderer: Renderer, hour: float) -> None:
+    plan = afternoon(hour=hour)
+    lights, _ = lights_from_outside(plan, UP)
+    every = (*lights, AmbientLight(np.float32(1.0), np.ones(3, np.float32)))
+    assert renderer.photo_light is not None
+    cameras = [renderer.captured_camera(index) for index in range(len(renderer.capture))]
+    seen, _ = SeenSurface.of(renderer.scene.caster, cameras)
+    response = measured_response(every, seen, renderer.photo_light.estimate.light)
+    setup = exposed(LightSetup(every), seen.lux(every), seen, EXPOSURE, response)
+    outside = renderer.lighting.outside(plan)
+    assert outside.lux == pytest.approx(setup.reference_lux, rel=1e-5)
+    for kept, light in zip(outside.lights, setup.lights[:-1], strict=True):
+        assert getattr(kept, kept.STRENGTH) == pytest.approx(getattr(light, light.STRENGTH), rel=1e-5)
