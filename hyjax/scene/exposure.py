@@ -19,6 +19,8 @@ DIMMINGS = 8
 """Most times that sun, least bounces and exposure are brought in line with each other."""
 MOST_FILLED, FILL_STEPS = 0.85, 16
 """Most light that bounces are filled up to, over that of the median picture; number of steps that are tried."""
+ROUNDING = 1e-4
+"""Share of its brightness that the median picture may lack before bounces are filled: it mostly has just that."""
 DAY_BRIGHTNESS, LARGEST_LIFT = 0.12, 1.8
 """Median linear value of photos below which they are lifted by day, and the largest lift."""
 LEAST_KEPT, KEPT_WHERE_DARK, MOST_KEPT = 0.2, 0.4, 1.0
@@ -36,14 +38,12 @@ class Exposure:
         ambient: illuminance of ambient lights over the reference; bounces are filled up to a share of it.
         sun: most of parallel light over the reference, where it falls on a surface that is seen.
         day: whether dark photos are lifted.
-        tolerance: share of its share that the median picture may lack before bounces are filled up for it.
     """
 
     share: float
     ambient: float
     sun: float
     day: bool = False
-    tolerance: float = 0.0
 
     def lifted(self, brightness: float) -> "Exposure":
         """Exposure of photos of a median brightness: by day, dark ones come out brighter than they were."""
@@ -133,7 +133,7 @@ def _least_ambient(
     least = exposure.ambient * response.filled_share
     for filled in np.linspace(least, max(least, MOST_FILLED * exposure.share), FILL_STEPS):
         light = (direct + np.maximum(bounced, filled * color)) / response.photo_light
-        if np.median(seen.of_cameras(light)) >= (1.0 - exposure.tolerance) * exposure.share:
+        if np.median(seen.of_cameras(light)) >= (1.0 - ROUNDING) * exposure.share:
             break
     return float(filled) / response.filled_share
 

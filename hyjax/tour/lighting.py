@@ -50,8 +50,6 @@ SPOT_DEGREES = 20.0, 40.0
 SUN_RADIUS = np.asarray(np.deg2rad(0.27), np.float32)
 LEAST_AMBIENT = 1e-3
 """Lux: a picture is never entirely dark."""
-EXPOSURE = dataclasses.replace(EXPOSURES["noon-window"], tolerance=1e-4)
-"""Exposure of daylight. Most hours leave the median picture just its share: rounding must not fill bounces up."""
 KEPT_HOURS = 64
 """Hours that are kept, and lights with what each gives the seen surface."""
 
@@ -138,7 +136,7 @@ class Lighting:
             return Outside((), 0.0, NEUTRAL_KELVIN, 0.0)
         every = (*lights, AmbientLight(_float32(1.0), _color(mixed(flux)[1])))
         lux, response = self._response(every)
-        setup = exposed(LightSetup(every), lux, self._seen, EXPOSURE, response)
+        setup = exposed(LightSetup(every), lux, self._seen, EXPOSURES["noon-window"], response)
         *shown, ambient = jax.tree.map(_float32, setup.lights)
         left = [_strength(new) / max(_strength(old), 1e-9) for new, old in zip(shown, lights, strict=True)]
         _, kelvin = mixed([(share * lumen, kelvin) for share, (lumen, kelvin) in zip(left, flux, strict=True)])

@@ -382,6 +382,25 @@ def test_white_walls_take_less_light_than_dark_ones(name: str, box: RayCaster) -
     assert relit(20.0)[0] == pytest.approx(relit(1.0)[0]), "what the photo itself burns out may stay so"
 
 
+@pytest.mark.parametrize("name", EXPOSURES)
+def test_rounding_decides_nothing_of_an_exposure(name: str, box: RayCaster) -> None:
+    """The median picture mostly has just its share: lights a millionth stronger are exposed alike."""
+    stage = survey(box, BOX_CAMERAS, UP)
+    raw, seen, found = SETUPS[name](stage), stage.seen, []
+    lux, none = seen.lux(raw.lights), np.zeros(len(seen.points))
+    bounced = (
+        np.random.default_rng(0).uniform(0.5, 3.0, len(none)) * lux[:, kinds_of(raw.lights)[0]].sum(axis=1).mean()
+    )
+    for factor in 1.0 + 1e-6 * np.arange(-8, 9):
+        strengths = [{light.STRENGTH: factor * getattr(light, light.STRENGTH)} for light in raw.lights]
+        lights = tuple(dataclasses.replace(light, **one) for light, one in zip(raw.lights, strengths, strict=True))
+        answer = Response(none + 1.0, factor * bounced, none, 0.3)
+        setup = exposed(LightSetup(lights), factor * lux, seen, EXPOSURES[name], answer)
+        (ambient,) = (float(light.illuminance) for light in setup.lights if light.UNIFORM)
+        found.append(ambient / float(setup.reference_lux))
+    assert max(found) < 1.001 * min(found)
+
+
 def test_dark_photos_are_lifted_by_day_alone() -> None:
     shares = {name: exposure.lifted(0.04).share / exposure.share for name, exposure in EXPOSURES.items()}
     assert shares == pytest.approx(dict.fromkeys(EXPOSURES, 1.0) | {"noon-window": 3**0.5})
