@@ -23,13 +23,14 @@ from hyjax.light.setup import LightSetup
 from hyjax.photo_light.estimate import Estimate, read_estimate
 from hyjax.scene.exposure import exposed
 from hyjax.scene.light_response import measured_response
+from hyjax.scene.light_setups import EXPOSURES
 from hyjax.scene.scene import Scene
 from hyjax.scene.seen_surface import SeenSurface
 from hyjax.tour import arrangement as arrangement_module
 from hyjax.tour.arrangement import Arrangement
 from hyjax.tour.furniture import merge_gbuffers
 from hyjax.tour.kept_plan import KeptPlan
-from hyjax.tour.lighting import EXPOSURE, lights_from_outside
+from hyjax.tour.lighting import lights_from_outside
 from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import Piece, TourPlan
 from hyjax.tour.renderer import Renderer
@@ -187,7 +188,7 @@ def test_light_that_is_kept_one_by_one_is_exposed_as_all_of_it_at_once(renderer:
     cameras = [renderer.captured_camera(index) for index in range(len(renderer.capture))]
     seen, _ = SeenSurface.of(renderer.scene.caster, cameras)
     response = measured_response(every, seen, renderer.photo_light.estimate.light)
-    setup = exposed(LightSetup(every), seen.lux(every), seen, EXPOSURE, response)
+    setup = exposed(LightSetup(every), seen.lux(every), seen, EXPOSURES["noon-window"], response)
     outside = renderer.lighting.outside(plan)
     assert outside.lux == pytest.approx(setup.reference_lux, rel=1e-5)
     for kept, light in zip(outside.lights, setup.lights[:-1], strict=True):
