@@ -81,8 +81,8 @@ def parse() -> Any:
     arguments = _renamed(sys.argv[1:])
     if len(arguments) > 1 and arguments[0] in WITH_CAPTURE and not arguments[1].startswith("-"):
         raise InputError(f"{arguments[1]}: is no option; a capture is given as --capture {arguments[1]}")
-    if arguments[:2] == ["info", "--capture"] and len(arguments) > 2:
-        raise InputError(f"--capture: is no option here; the capture is given by itself: hyjax info {arguments[2]}")
+    if arguments[:1] == ["info"] and any(argument.split("=")[0] == "--capture" for argument in arguments):
+        raise InputError("--capture: is no option here; the capture is given by itself: hyjax info PATH")
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):

@@ -386,7 +386,7 @@ def test_frames_that_burn_out_are_said(
         caplog.clear()
         lights = dataclasses.replace(setup, reference_lux=reference)
         assert relight(wall, lights, tmp_path, **options)["frames_too_bright"] == bright
-        assert ("1 of 1 frames burn out where the photo did not (f2.relit.png)" in caplog.text) == bool(bright)
+        assert ("1 of 1 pictures burn out where the photo did not (f2.relit.png)" in caplog.text) == bool(bright)
 
 
 def test_a_run_says_which_lights_are_made_up(

@@ -132,7 +132,7 @@ def test_help_beside_a_long_argument_comes_once(
         (["relight", "kitchen"], "kitchen: is no option; a capture is given as --capture kitchen"),
         (
             ["info", "--capture", "kitchen"],
-            "--capture: is no option here; the capture is given by itself: hyjax info kitchen",
+            "--capture: is no option here; the capture is given by itself: hyjax info PATH",
         ),
     ],
 )

@@ -112,8 +112,8 @@ def open_colmap(tree: FileTree) -> Capture:
         remarks=[*remarks, line] if line else remarks,
         metric=scale is not None,
         depth_in_units=not has_sensor,
+        times_known=False,
     )
-    recording.times_known = False
     return recording if scale is None else ScaledCapture(recording, scale)
 
 

@@ -83,7 +83,7 @@ def open_nerfstudio(tree: FileTree) -> Recording:
     up, up_remarks = _up(top, [shot.pose for shot in shots], has_depth, tree) if shots else (Z_UP, [])
     if listing != NAMES[0]:
         up_remarks = [*up_remarks, f"there is no {NAMES[0]}; the frames are those of {listing}"]
-    recording = Recording(
+    return Recording(
         tree,
         shots,
         up=up,
@@ -91,9 +91,8 @@ def open_nerfstudio(tree: FileTree) -> Recording:
         remarks=[*remarks.lines(), *up_remarks],
         metric=has_depth,
         depth_in_units=True,
+        times_known=False,
     )
-    recording.times_known = False
-    return recording
 
 
 def _find(tree: FileTree, path: str) -> str | None:

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 Y_UP, Z_UP = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 MOST_METRES = 1e5
 """Metres from the world's origin beyond which a camera's position is taken for garbage."""
-MARGIN_WHITE, MARGIN_SHARE = 250 / 255, 0.4
-"""Least value of a margin's pixels, and their least share in its rows and columns."""
+MARGIN_WHITE, MARGIN_SHARE, MARGIN_DEPTH = 0.92, 0.95, 0.03
+"""Least value of a white margin's pixels, their least share in its lines, and its largest share of a side."""
 AXIS_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 DepthAndConfidence = tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"] | None]
@@ -88,6 +88,7 @@ class Recording(Capture):
         turn: bool = True,
         metric: bool = True,
         depth_in_units: bool = False,
+        times_known: bool = True,
     ) -> None:
         self.name = name or (tree.path.resolve().stem if tree.path.is_file() else tree.path.resolve().name)
         self._tree, self._mesh_name = tree, mesh
@@ -105,7 +106,12 @@ class Recording(Capture):
             check_pose(shot.pose, f"{tree.path}: frame {shot.name}")
         poses = [shot.pose for shot in self._pictures]
         self.up = mean_up(poses, tree.path) if up is None else up
-        self.sensor, self.metric, self.depth_in_units = sensor, metric, depth_in_units
+        self.sensor, self.metric, self.depth_in_units, self.times_known = (
+            sensor,
+            metric,
+            depth_in_units,
+            times_known,
+        )
         self.faults, self.remarks = tuple(faults), tuple(remarks)
         self.quarter_turns = turns_upright(poses, self.up) if turn else 0
         self.mesh_file = None if mesh is None else Path(tree.where(mesh))
@@ -165,18 +171,20 @@ class Recording(Capture):
 
 
 def without_margin(image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
-    """Picture with a white margin on all four sides made black, which no light brightens: it shows nothing.
+    """Picture whose narrow white margin, if it has one on all four sides, is black: no light brightens that.
 
-    NYU's pictures have one, where the lens' distortion was undone.
+    NYU's pictures have one, where the lens' distortion was undone. Its innermost lines may be white in part.
     """
-    if any((side < MARGIN_WHITE).any() for side in (image[0], image[-1], image[:, 0], image[:, -1])):
-        return image
     white = (image >= MARGIN_WHITE).all(axis=-1)
-    rows, columns = (np.flatnonzero(white.mean(axis=axis) < MARGIN_SHARE) for axis in (1, 0))
-    if not len(rows) or not len(columns):
-        return image
-    white[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] = False
-    return np.where(white[..., None], np.float32(0.0), image)
+    margin = np.zeros_like(white)
+    for side in range(4):
+        turned = np.rot90(white, side)
+        whole = turned.mean(axis=1) >= MARGIN_SHARE
+        depth = int(np.argmin(whole))  # of lines from the edge; 0 where all are white, too
+        if not 0 < depth <= MARGIN_DEPTH * len(whole):
+            return image
+        np.rot90(margin, side)[: depth + 1] = True
+    return np.where((margin & white)[..., None], np.float32(0.0), image)
 
 
 def _read_depth(

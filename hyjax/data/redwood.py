@@ -94,9 +94,9 @@ def open_redwood(tree: FileTree) -> Recording:
             reader = None if depth is None else depth_reader(tree, depth)
             shots.append(Shot(short, number / 30, pose, intrinsics, colour, reader))
     mesh = next((name for name in MESHES if name in tree), None)
-    recording = Recording(tree, shots, mesh=mesh, sensor=KINECT, faults=faults.lines(), remarks=remarks)
-    recording.times_known = False
-    return recording
+    return Recording(
+        tree, shots, mesh=mesh, sensor=KINECT, faults=faults.lines(), remarks=remarks, times_known=False
+    )
 
 
 def _log_name(tree: FileTree) -> str | None:

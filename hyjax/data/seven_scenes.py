@@ -61,9 +61,8 @@ def open_seven_scenes(tree: FileTree) -> Recording:
         )
         for number, name in whole.items()
     ]
-    recording = Recording(tree, shots, up=read_up(tree), faults=faults.lines(), remarks=remarks, turn=False)
-    recording.times_known = False
-    return recording
+    up, told = read_up(tree), faults.lines()
+    return Recording(tree, shots, up=up, faults=told, remarks=remarks, turn=False, times_known=False)
 
 
 def _numbered_colours(tree: FileTree) -> dict[int, str]:

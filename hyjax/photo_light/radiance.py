@@ -2,10 +2,11 @@
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from hyjax.data.capture import Frame
 from hyjax.geometry.raycast import RayCaster
@@ -13,6 +14,8 @@ from hyjax.geometry.raycast import RayCaster
 SATURATED_VALUE = 0.97
 """Display value from which a sensor is saturated."""
 SATURATED_WEIGHT = 0.02
+MARGIN_DEPTH = 0.03
+"""Largest share of a picture's side in a black margin."""
 GRAZING_COSINE = 0.15
 """Cosine of the viewing angle below which a surface is too grazing to be read."""
 DEPTH_SLACK = 0.03
@@ -45,6 +48,14 @@ def linear(display: Float[np.ndarray, "*s"]) -> Float[np.ndarray, "*s"]:
     """sRGB → linear light, in NumPy; see `hyjax.light.color.to_linear`."""
     x = np.asarray(display, np.float64)
     return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0.04045) + 0.055) / 1.055) ** 2.4)
+
+
+def black_margin(image: Float[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
+    """Mask of the entirely black pixels near a picture's border: they show nothing, as where a lens was undone."""
+    black = image.max(axis=-1) <= 0
+    height, width = (max(1, math.ceil(MARGIN_DEPTH * side)) for side in black.shape)
+    black[height:-height, width:-width] = False
+    return black
 
 
 def vertex_radiance(caster: RayCaster, frames: Iterable[Frame]) -> VertexRadiance:
@@ -96,9 +107,10 @@ def _sample(caster: RayCaster, frame: Frame) -> Sample:
     index, cosine = index[free], cosine[free]
     column, row = np.floor(pixel[index]).astype(int).T
     image = np.asarray(frame.image)
-    # The mean over a few pixels: a vertex stands for its surroundings. None are of a picture's black margin.
-    pixels = np.stack([image[row + i, column + j] for i in (-1, 0, 1) for j in (-1, 0, 1)])
-    shown = (pixels.max(axis=-1) > 0).all(axis=0)
-    index, cosine, display = index[shown], cosine[shown], pixels[:, shown].mean(axis=0)
+    known = ~black_margin(image)
+    shown = np.all([known[row + i, column + j] for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
+    index, cosine, column, row = index[shown], cosine[shown], column[shown], row[shown]
+    # The mean over a few pixels: a vertex stands for its surroundings.
+    display = np.mean([image[row + i, column + j] for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
     share = cosine * np.where(display.max(axis=1) > SATURATED_VALUE, SATURATED_WEIGHT, 1.0)
     return index, linear(display), share

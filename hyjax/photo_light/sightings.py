@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from hyjax.data.capture import Frame
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import wall_axes
+from hyjax.photo_light.radiance import black_margin
 from hyjax.photo_light.sources import SATURATED_VALUE, Vector
 
 ROW_PIXELS = 320
@@ -23,8 +24,8 @@ class Sighting:
         rays: of unit depth.
         depth: of the surface; infinite without.
         face: triangle that is seen, −1 without.
-        low: least of the three channels, display values.
-        known: pixels that are not of a black margin.
+        low: least of the three channels, display values; 0 on a white border.
+        known: pixels that are neither of a white border nor of a black margin.
     """
 
     frame: Frame
@@ -47,8 +48,21 @@ def sight(caster: RayCaster, frame: Frame) -> Sighting:
     hits = caster.cast(frame.camera.origin, rays.reshape(-1, 3))
     shape = rays.shape[:2]
     image = frame.image[step // 2 :: step, step // 2 :: step]
+    low = image.min(axis=-1)
+    known = ~_white_border(low > SATURATED_VALUE) & ~black_margin(image)
     depth, face = hits.distance.reshape(shape), hits.face.reshape(shape)
-    return Sighting(frame, rays, depth, face, image.min(axis=-1), image.max(axis=-1) > 0)
+    return Sighting(frame, rays, depth, face, np.where(known, low, 0.0), known)
+
+
+def _white_border(burnt: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Rows and columns at the border that are burnt out all along, as in undistorted pictures."""
+    white = np.zeros_like(burnt)
+    for axis in (0, 1):
+        lines = burnt.mean(axis=1 - axis) > 0.6
+        for direction in (1, -1):
+            inner = np.cumprod(lines[::direction])[::direction].astype(bool)
+            white |= inner[:, None] if axis == 0 else inner[None]
+    return white
 
 
 Box = tuple[Float[np.ndarray, "5 3"], Float[np.ndarray, "5"]]

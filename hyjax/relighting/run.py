@@ -242,11 +242,11 @@ def tell_of_another_device(configuration: Configuration) -> None:
 def tell_of_exposure(summary: "_Summary", setup: LightSetup, file: str, *, dark: bool) -> None:
     """Log frames that burnt out, or ended nearly black where `dark` says so, and a remedy in the lights' file."""
     too_dark = (
-        "%d of %d frames end nearly black (%s): little light of the set-up reaches what they show; write nearer "
+        "%d of %d pictures end nearly black (%s): little light of the set-up reaches what they show; write nearer "
         "lights, more ambient light or less than its reference_lux of %.3g into %s, and give that"
     )
     too_bright = (
-        "%d of %d frames burn out where the photo did not (%s): their lights are too strong for the "
+        "%d of %d pictures burn out where the photo did not (%s): their lights are too strong for the "
         "reference_lux of %.3g in %s; give a file with a larger one, or with weaker lights"
     )
     told = ((too_dark, summary.dark if dark else []), (too_bright, summary.bright))

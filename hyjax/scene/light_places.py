@@ -64,14 +64,14 @@ class WindowPlace:
     Attributes:
         inward: unit normal, into the room.
         width, height: in metres.
-        in_wall: whether it is known, or in a wall that was scanned; otherwise it is in free space.
+        in_free_space: whether it is made up where no wall for it was found.
     """
 
     center: Vector
     inward: Vector
     width: float
     height: float
-    in_wall: bool = True
+    in_free_space: bool = False
 
     def opening(self, up: Vector) -> Aperture:
         """Opening of the window, a centimetre inside its wall."""
@@ -106,8 +106,8 @@ class LightAnchors:
             any, `points`, moved clear of surfaces.
         windows: the room's own windows, and those of the stops that none of these reaches.
         made_up: places of the lamps and windows that are not the room's own.
-        open_sky: whether light from outside comes from all around: no window is known, and neither a wall for one
-            nor a ceiling was scanned.
+        open_sky: whether light from outside comes from all around: no window is known, no wall for one was found,
+            and most of what is seen has nothing above it.
     """
 
     up: Vector
@@ -151,7 +151,7 @@ def survey(
     if not lamps:
         lamps = [_cleared(caster, place, _nearest(few_eyes, eye), up) for place in points]
     made_up = {"lamp": lamps[own_lamps:], "window": [window.center for window in windows[own_windows:]]}
-    open_sky = not any(window.in_wall for window in windows) and seen.under_open_sky(up) >= LEAST_OPEN
+    open_sky = all(window.in_free_space for window in windows) and seen.under_open_sky(up) >= LEAST_OPEN
     return LightAnchors(up, focus, points, lamps, windows, stops, seen, made_up, open_sky)
 
 
@@ -178,7 +178,8 @@ def tell_made_up(name: str, anchors: LightAnchors, lights: Sequence[Light]) -> N
             texts.append(f"{kind}{'s' * (len(used) > 1)} at " + ", ".join(map(_text, used)))
     if anchors.open_sky and any(isinstance(light, SkyLight) for light in lights):
         _log.warning(
-            "%s: neither wall nor ceiling was scanned; its light from outside comes from an open sky", name
+            "%s: no wall for a window was found, and little is above; light from outside comes from an open sky",
+            name,
         )
     if texts:
         made_up = " and ".join(texts)
@@ -276,7 +277,7 @@ def _made_up_window(caster: RayCaster, seen: SeenSurface, stop: Stop, up: Vector
         for side in (aside, -aside):
             reach = min(_free(caster, middle, side), 2.5)
             places.append(
-                WindowPlace(middle + 0.9 * reach * side, -side, WINDOW_WIDTH, WINDOW_HEIGHT, in_wall=False)
+                WindowPlace(middle + 0.9 * reach * side, -side, WINDOW_WIDTH, WINDOW_HEIGHT, in_free_space=True)
             )
     lights = [RectLight.filling(place.opening(up), 1000.0, np.ones(3)) for place in places]
     lux = seen.chosen(stop.points).lux(lights)

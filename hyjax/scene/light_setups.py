@@ -192,9 +192,6 @@ def _sun(
     """
     usual, least, most = elevations
     radius = np.deg2rad(SUN_DEGREES)
-    if anchors.open_sky:
-        travel = _travel(anchors.up, anchors.windows[0].inward, SUN_TANGENTS[0], usual)
-        return [DirectionalLight(direction(travel), illuminance, color, radius)]
     choices = [(aside, usual) for aside in SUN_TANGENTS]
     choices += [(aside, height) for height in np.linspace(least, most, 5) for aside in SUN_TANGENTS]
     found = []
@@ -207,6 +204,8 @@ def _sun(
     most_pictures = max(pictures for _, pictures, _ in found)
     # The usual sun where it lands; the nearest to it that does, else.
     travel, _, lit = next(each for each in found if each[1] >= ENOUGH_SUNLIT_RATIO * most_pictures)
+    if anchors.open_sky:
+        return [DirectionalLight(direction(travel), illuminance, color, radius)]
     best_first = sorted(lit, key=lambda each: -each[0])[:MOST_SUNS]
     through = [window for share, window in best_first if share > 0] or [anchors.windows[0]]
     return [
@@ -217,8 +216,9 @@ def _sun(
 
 def _sunlit(anchors: LightAnchors, travel: Vector) -> tuple[int, list[tuple[float, WindowPlace]]]:
     """Number of pictures that show parallel light along `travel`, and windows with the share that it lights."""
-    seen, every, shares = anchors.seen, np.zeros(len(anchors.seen.points), bool), []
-    for window in anchors.windows:
+    seen, shares = anchors.seen, list[tuple[float, WindowPlace]]()
+    every = seen.reached_along(travel) if anchors.open_sky else np.zeros(len(seen.points), bool)
+    for window in () if anchors.open_sky else anchors.windows:
         if travel @ window.inward < 0.1:
             continue
         lit = seen.reached_through(window.opening(anchors.up), travel)

@@ -10,9 +10,10 @@ from jaxtyping import Bool, Float, Int
 from hyjax.data.frames import spread
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
-from hyjax.light.kinds import Aperture, DirectionalLight, Light, PointLight, RectLight
+from hyjax.light.kinds import Aperture, DirectionalLight, Light, PointLight, RectLight, SkyLight
 from hyjax.scene.point_lux import point_lux
 from hyjax.util.errors import InputError
+from hyjax.util.vectors import unit
 
 OFFSET = 0.02
 """Distance from the surface, in metres, where rays to lights start."""
@@ -73,6 +74,8 @@ class SeenSurface:
 
     def of_cameras(self, values: Float[np.ndarray, "n"], quantile: float = 0.5) -> Float[np.ndarray, "c"]:
         """Quantile of values at the points that each camera sees, of the cameras that see any."""
+        if not len(values):
+            return np.zeros(0)
         parts = np.split(values, np.flatnonzero(np.diff(self.camera)) + 1)
         return np.array([_quantile(part, quantile) for part in parts])
 
@@ -87,25 +90,42 @@ class SeenSurface:
         lit[lit] = ~self._blocked(lit, -travel[None] * np.maximum(t[lit] - OFFSET, 0.0)[:, None])
         return lit
 
+    def reached_along(self, travel: Float[np.ndarray, "3"]) -> Bool[np.ndarray, "n"]:
+        """Points that parallel light along `travel` reaches from anywhere."""
+        lit = self.normals @ travel < -0.05
+        lit[lit] = self._open(lit, -travel)
+        return lit
+
     def under_open_sky(self, up: Float[np.ndarray, "3"]) -> float:
         """Share of the points that have nothing above them."""
-        every = np.ones(len(self.points), bool)
-        return float((~self._blocked(every, np.tile(FAR * up, (len(every), 1)))).mean())
+        return float(self._open(np.ones(len(self.points), bool), up).mean())
 
     def lux(self, lights: Sequence[Light]) -> Float[np.ndarray, "n l"]:
         """Illuminance of lights on the points, with shadows; times the strongest channels of their colours."""
         lux = np.zeros((len(self.points), len(lights)), np.float32)
         for number, light in enumerate(lights):
-            free, strongest = self._reached(light), float(np.asarray(light.color).max())
-            lux[free, number] = point_lux(self.points[free], self.normals[free], [light])[:, 0] * strongest
+            strongest = float(np.asarray(light.color).max())
+            share = self._sky_share(light) if isinstance(light, SkyLight) else self._reached(light)
+            free = share > 0
+            lit = point_lux(self.points[free], self.normals[free], [light])[:, 0]
+            lux[free, number] = lit * share[free] * strongest
         return lux
+
+    def _sky_share(self, sky: SkyLight) -> Float[np.ndarray, "n"]:
+        """Share of a sky's light that reaches each point."""
+        free = given = np.zeros(len(self.points))
+        for travel in sky.shadow_views().directions:
+            cosine = np.maximum(self.normals @ -travel, 0.0)
+            given = given + cosine
+            free = free + np.where(self.reached_along(travel), cosine, 0.0)
+        return free / np.maximum(given, 1e-9)
 
     def _reached(self, light: Light) -> Bool[np.ndarray, "n"]:
         every = np.ones(len(self.points), bool)
         if isinstance(light, DirectionalLight) and light.aperture is not None:
             return self.reached_through(light.aperture, np.asarray(light.direction, float))
         if isinstance(light, DirectionalLight):
-            return ~self._blocked(every, np.tile(-FAR * np.asarray(light.direction, float), (len(every), 1)))
+            return self.reached_along(unit(np.asarray(light.direction, float)))
         if isinstance(light, PointLight):
             to = np.asarray(light.position, float) - self.points
             length = np.linalg.norm(to, axis=1, keepdims=True)
@@ -114,6 +134,10 @@ class SeenSurface:
         if isinstance(light, RectLight):
             return ~self._blocked(every, 0.97 * (np.asarray(light.center, float) - self.points))
         return every
+
+    def _open(self, chosen: Bool[np.ndarray, "n"], toward: Float[np.ndarray, "3"]) -> Bool[np.ndarray, "m"]:
+        """Whether nothing stands before points in a direction."""
+        return ~self._blocked(chosen, np.tile(FAR * toward, (int(chosen.sum()), 1)))
 
     def _blocked(self, chosen: Bool[np.ndarray, "n"], to: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, "m"]:
         start = self.points[chosen] + OFFSET * self.normals[chosen]

@@ -105,15 +105,14 @@ class DaskPool:
         future.add_done_callback(self._ended.put)
 
     def collect(self) -> list[tuple[TaskBatch, Outcome | None]]:
+        if time.monotonic() - self._looked > POLL_SECONDS:  # many workers leave no pause between results
+            self._look()
         futures = [self._next()]
         if futures[0].status != "finished":
             time.sleep(SETTLING_SECONDS)
         while not self._ended.empty():
             futures.append(self._ended.get())
-        outcomes = [self._outcome(future) for future in futures]
-        if time.monotonic() - self._looked > POLL_SECONDS:  # many workers leave no pause between results
-            self._look()
-        return outcomes
+        return [self._outcome(future) for future in futures]
 
     def _outcome(self, future: Any) -> tuple[TaskBatch, Outcome | None]:
         from distributed import KilledWorker

@@ -50,8 +50,8 @@ SPOT_DEGREES = 20.0, 40.0
 SUN_RADIUS = np.asarray(np.deg2rad(0.27), np.float32)
 LEAST_AMBIENT = 1e-3
 """Lux: a picture is never entirely dark."""
-KEPT_HOURS = 64
-"""Hours that are kept, and lights with what each gives the seen surface."""
+KEPT_HOURS, KEPT_LIGHTS = 64, 64
+"""Number of hours that are kept, and of lights with what each gives the seen surface."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Lighting:
         a, b, c = caster.mesh.extents
         self.up, self.surface_area = up, 2.0 * float(a * b + b * c + c * a)
         self._seen, self._photo = SeenSurface.of(caster, cameras)[0], photo
-        self._outside, self._responses = LruCache(KEPT_HOURS), LruCache(KEPT_HOURS)
+        self._outside, self._responses = LruCache(KEPT_HOURS), LruCache(KEPT_LIGHTS)
 
     def setup(self, plan: TourPlan, flicker: Mapping[int, float] | None = None) -> LightSetup:
         """Lights of a plan and the illuminance that the camera exposes for.
@@ -151,9 +151,9 @@ class Lighting:
         seen, photo = self._seen, self._photo
 
         def made(light: Light) -> tuple[Float[np.ndarray, "n"], Response]:
-            unit = [light.normalized()]
-            lux = seen.lux(unit)
-            own = assumed_response(unit, lux, seen) if photo is None else measured_response(unit, seen, photo)
+            plain = [light.normalized()]
+            lux = seen.lux(plain)
+            own = assumed_response(plain, lux, seen) if photo is None else measured_response(plain, seen, photo)
             return lux[:, 0], own
 
         direct, own = zip(

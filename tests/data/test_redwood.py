@@ -71,23 +71,31 @@ def test_positions_and_quaternions_and_depth_in_pgm_are_read_alike(folder: Path)
         open_capture(folder)
 
 
-@pytest.mark.parametrize("white", [1.0, 251 / 255])
+def framed(depths: tuple[int, int, int, int], white: float = 1.0) -> np.ndarray:
+    """Picture with a white margin of so many lines at the top, the bottom, the left and the right."""
+    picture = np.random.default_rng(0).uniform(0.1, 0.9, (200, 300, 3)).astype(np.float32)
+    top, bottom, left, right = depths
+    picture[:top] = picture[200 - bottom :] = picture[:, :left] = picture[:, 300 - right :] = white
+    return picture
+
+
+@pytest.mark.parametrize("white", [1.0, 0.93])  # as JPEG has it
 def test_a_white_margin_becomes_black(white: float) -> None:
-    """As NYU's pictures have; not what is white in the picture itself, nor a border on three sides."""
-    rng = np.random.default_rng(0)
-    picture = rng.uniform(0.1, 0.9, (48, 64, 3)).astype(np.float32)
-    picture[10:20, 30:40] = 1.0
-    bordered = picture.copy()
-    bordered[:3] = bordered[-2:] = bordered[:, :4] = bordered[:, -1:] = white
-    bordered[3, :40] = white  # the margin's last row, in part
-    bordered[4, 40:50] = 1.0  # a window that touches it
-    cut = without_margin(bordered)
-    assert (cut[:3] == 0).all() and (cut[:, :4] == 0).all() and (cut[3, :40] == 0).all()
-    np.testing.assert_array_equal(cut[4:-2, 4:-1], bordered[4:-2, 4:-1])
-    np.testing.assert_array_equal(cut[3, 40:-1], bordered[3, 40:-1])
-    bordered[-1, 5] = 0.5
-    for same in (picture, bordered, np.ones_like(picture)):
-        np.testing.assert_array_equal(without_margin(same), same)
+    """As NYU's pictures have; what is white in the picture itself stays, also where it touches the margin."""
+    picture = framed((3, 2, 5, 1), white)
+    picture[3, :150] = white  # the margin's innermost line, in part
+    picture[4:120, 20:250] = 1.0  # a burnt-out window
+    cut = without_margin(picture)
+    assert (cut[:3] == 0).all() and (cut[-2:] == 0).all() and (cut[:, :5] == 0).all() and (cut[:, -1:] == 0).all()
+    assert (cut[3, :150] == 0).all()
+    np.testing.assert_array_equal(cut[4:-2, 6:-1], picture[4:-2, 6:-1])
+
+
+@pytest.mark.parametrize("depths", [(0, 0, 0, 0), (3, 3, 3, 0), (0, 0, 5, 5), (20, 20, 20, 20), (100, 100, 0, 0)])
+def test_what_is_no_white_margin_stays(depths: tuple[int, int, int, int]) -> None:
+    """White on three sides, a white backdrop, a picture that is white all over."""
+    picture = framed(depths)
+    np.testing.assert_array_equal(without_margin(picture), picture)
 
 
 def test_more_poses_than_pictures_are_cut_with_a_line(folder: Path) -> None:

@@ -298,9 +298,46 @@ def test_where_no_wall_was_scanned_the_sky_is_open(caplog: pytest.LogCaptureFixt
     assert float(sun.direction[2]) < -0.5
     assert 0 < (anchors.seen.lux([sun]) == 0).mean() < 0.5
     tell_made_up("noon-window", anchors, named_setup("noon-window", anchors).lights)
-    assert caplog.messages == [
-        "noon-window: neither wall nor ceiling was scanned; its light from outside comes from an open sky"
+    (line,) = caplog.messages
+    assert line.startswith("noon-window: no wall for a window was found, and little is above; light from outside")
+
+
+def test_a_sky_counts_as_far_as_it_is_seen() -> None:
+    """Half of it beside a high wall."""
+    wall = trimesh.creation.box(bounds=[[-50.0, 0.3, 0.0], [50.0, 0.4, 100.0]])
+    floor = trimesh.creation.box(bounds=[[-5.0, -5.0, -0.1], [5.0, 5.0, 0.0]])
+    looking_down = [box_camera((0, 0, 1.5), (0.01, 0, 0))]
+    sky = SkyLight(UP, 100.0, np.ones(3))
+    lux = [
+        np.median(survey(RayCaster(mesh), looking_down, UP).seen.lux([sky]))
+        for mesh in (floor, trimesh.util.concatenate([floor, wall]))
     ]
+    assert lux[0] == pytest.approx(100.0, rel=0.01) and lux[1] == pytest.approx(50.0, rel=0.15)
+
+
+def test_the_open_sun_is_turned_to_where_it_lands() -> None:
+    """A high wall stands before the usual sun."""
+    anchors = survey(RayCaster(PATIO), PATIO_CAMERAS, UP)
+    (usual,) = (light for light in SETUPS["golden-hour"](anchors).lights if isinstance(light, DirectionalLight))
+    toward = -np.asarray(usual.direction, float)
+    side, base = np.cross(UP, toward), toward * [4.0, 4.0, 0.0]
+    corners = [base - 2 * side, base + 2 * side, base + 2 * side + 4 * UP, base - 2 * side + 4 * UP]
+    wall = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+    seen = survey(RayCaster(trimesh.util.concatenate([PATIO, wall])), PATIO_CAMERAS, UP)
+    shaded = dataclasses.replace(seen, windows=anchors.windows, open_sky=True)
+    (turned,) = (light for light in SETUPS["golden-hour"](shaded).lights if isinstance(light, DirectionalLight))
+    assert (seen.seen.lux([usual]) > 0).mean() < (seen.seen.lux([turned]) > 0).mean()
+
+
+@pytest.mark.parametrize("values", [np.arange(1.0), np.random.default_rng(0).random(670, np.float32)])
+@pytest.mark.parametrize("quantile", [0.0, 0.5, 0.9, 1.0])
+def test_quantiles_of_pictures_are_numpys(values: np.ndarray, quantile: float, box: RayCaster) -> None:
+    seen, none = survey(box, BOX_CAMERAS, UP).seen, np.zeros(0, bool)
+    pictured = dataclasses.replace(seen, camera=np.repeat([0, 2], [len(values), 1]))
+    first, second = pictured.of_cameras(np.append(values, values[:1]), quantile)
+    assert first == np.quantile(values, quantile) and second == values[0]
+    nothing = seen.chosen(np.zeros(len(seen.points), bool))
+    assert nothing.of_cameras(none.astype(float), quantile).shape == (0,)
 
 
 @pytest.mark.parametrize("more", ["wall", "ceiling", "window"])
