@@ -106,12 +106,8 @@ class Recording(Capture):
             check_pose(shot.pose, f"{tree.path}: frame {shot.name}")
         poses = [shot.pose for shot in self._pictures]
         self.up = mean_up(poses, tree.path) if up is None else up
-        self.sensor, self.metric, self.depth_in_units, self.times_known = (
-            sensor,
-            metric,
-            depth_in_units,
-            times_known,
-        )
+        self.sensor, self.metric = sensor, metric
+        self.depth_in_units, self.times_known = depth_in_units, times_known
         self.faults, self.remarks = tuple(faults), tuple(remarks)
         self.quarter_turns = turns_upright(poses, self.up) if turn else 0
         self.mesh_file = None if mesh is None else Path(tree.where(mesh))
@@ -175,13 +171,16 @@ def without_margin(image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 
 
     NYU's pictures have one, where the lens' distortion was undone. Its innermost lines may be white in part.
     """
+    edges = image[0], image[-1], image[:, 0], image[:, -1]
+    if any((edge >= MARGIN_WHITE).all(axis=-1).mean() < MARGIN_SHARE for edge in edges):
+        return image  # most pictures, at once
     white = (image >= MARGIN_WHITE).all(axis=-1)
     margin = np.zeros_like(white)
     for side in range(4):
         turned = np.rot90(white, side)
         whole = turned.mean(axis=1) >= MARGIN_SHARE
         depth = int(np.argmin(whole))  # of lines from the edge; 0 where all are white, too
-        if not 0 < depth <= MARGIN_DEPTH * len(whole):
+        if not 0 < depth <= max(1, MARGIN_DEPTH * len(whole)):
             return image
         np.rot90(margin, side)[: depth + 1] = True
     return np.where((margin & white)[..., None], np.float32(0.0), image)

@@ -171,7 +171,7 @@ def _not_dark(
 
 
 def _sky(anchors: LightAnchors, exitance: float, color: Any) -> list[Light]:
-    """Sky in all windows, `exitance` lumens a square metre; without walls a share of that from all around."""
+    """Sky in all windows, `exitance` lumens a square metre; an open sky gives a share of that from all around."""
     if anchors.open_sky:
         return [SkyLight(direction(anchors.up), OPEN_SKY_SHARE * exitance, color)]
     return [
@@ -183,7 +183,7 @@ def _sky(anchors: LightAnchors, exitance: float, color: Any) -> list[Light]:
 def _sun(
     anchors: LightAnchors, elevations: tuple[float, float, float], illuminance: float, color: Any
 ) -> list[DirectionalLight]:
-    """Parallel light through the windows, from where it falls into many pictures; without walls everywhere.
+    """Parallel light through the windows, or from the open sky, from where it falls into many pictures.
 
     Args:
         elevations: degrees above the horizon: the usual, the least and the most.
