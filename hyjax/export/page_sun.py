@@ -26,18 +26,14 @@ def sun_table(scene: Scene) -> dict[str, Any] | None:
         return None
     try:
         from hyjax.tour.lighting import ADAPTATION, LEAST_AMBIENT, WALL_REFLECTANCE, Lighting
-        from hyjax.tour.placement import as_point, north_for_bearing
-        from hyjax.tour.plan import MOST_WINDOWS, TourPlan, Window
+        from hyjax.tour.placement import as_window, north_for_bearing
+        from hyjax.tour.plan import MOST_WINDOWS, TourPlan
     except ImportError:
         _log.warning("web: the page has no sun by the hour, which needs the extra 'tour': pip install '.[tour]'")
         return None
     up = np.asarray(scene.capture.up, float)
     openings = tuple(
-        Window(
-            as_point(w.center),
-            as_point(w.normal),
-            *(float(np.clip(2.0 * np.linalg.norm(side), 0.05, 20.0)) for side in (w.right, w.up)),
-        )
+        as_window(w.center, w.normal, *(2.0 * float(np.linalg.norm(side)) for side in (w.right, w.up)))
         for w in windows[:MOST_WINDOWS]
     )
     plan = TourPlan(windows=openings, north=north_for_bearing(openings[0], BEARING, up))

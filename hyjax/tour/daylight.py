@@ -32,4 +32,4 @@ def describe_daylight(plan: TourPlan, up: Float[np.ndarray, "3"]) -> str:
         for number, window in enumerate(plan.windows)
         for bearing in [(plan.north - north_for_bearing(window, 0.0, up)) % 360]
     )
-    return f"{day:%-d %B}, {clock}: {light}{windows}"
+    return f"{day:%-d %B}, {clock}: {light}{'; open sky' * plan.open_sky}{windows}"

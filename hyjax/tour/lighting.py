@@ -1,4 +1,4 @@
-"""Lights of a plan: sky and sun through its windows, its lamps, bounces of the room; and the exposure for them."""
+"""Lights of a plan: sky and sun, its lamps, bounces of the room; and the exposure for them."""
 
 import dataclasses
 import functools
@@ -20,6 +20,7 @@ from hyjax.light.kinds import (
     Light,
     PointLight,
     RectLight,
+    SkyLight,
     SpotLight,
 )
 from hyjax.light.photo_light import PhotoLight
@@ -48,6 +49,8 @@ STRIP_SIZE = (1.0, 0.03)  # metres
 SPOT_DEGREES = 20.0, 40.0
 """Half angles of a spot's cone: fully lit inside the first, dark outside the second."""
 SUN_RADIUS = np.asarray(np.deg2rad(0.27), np.float32)
+LEAST_COSINE = 0.02
+"""Least cosine of the sun's direction with an opening for sun to come in."""
 LEAST_AMBIENT = 1e-3
 """Lux: a picture is never entirely dark."""
 KEPT_HOURS, KEPT_LIGHTS = 64, 64
@@ -56,10 +59,10 @@ KEPT_HOURS, KEPT_LIGHTS = 64, 64
 
 @dataclasses.dataclass(frozen=True)
 class Outside:
-    """Light through the windows, as a camera shows it that is exposed for the room.
+    """Light through the windows and from an open sky, as a camera shows it that is exposed for the room.
 
     Attributes:
-        lights: sky and sun of each window, the sun dimmer than it is where it would burn out.
+        lights: sky and sun, those of an open sky and of each window, the sun dimmer than it is where it would burn out.
         lumen, kelvin: of all of it, as far as the room throws it back.
         lux: illuminance that the camera exposes for.
     """
@@ -102,7 +105,7 @@ class Lighting:
     def setup(self, plan: TourPlan, flicker: Mapping[int, float] | None = None) -> LightSetup:
         """Lights of a plan and the illuminance that the camera exposes for.
 
-        For each window its sky and its sun, then the lamps, then one ambient light. The camera does not follow a
+        Sky and sun, then the lamps, then one ambient light. The camera does not follow a
         flicker: exposure is that of steady lamps.
 
         Args:
@@ -126,8 +129,8 @@ class Lighting:
         return LightSetup(tuple(lights), reference, existing)
 
     def outside(self, plan: TourPlan) -> Outside:
-        """Light through a plan's windows, exposed as the named set-ups of `hyjax relight` are."""
-        key = plan.hour, plan.day, plan.latitude, plan.north, plan.weather, plan.windows
+        """Light of a plan from outside, exposed as the named set-ups of `hyjax relight` are."""
+        key = plan.hour, plan.day, plan.latitude, plan.north, plan.weather, plan.windows, plan.open_sky
         return self._outside(key, lambda: self._exposed(plan))
 
     def _exposed(self, plan: TourPlan) -> Outside:
@@ -178,11 +181,21 @@ def mixed(flux: Sequence[tuple[float, float]]) -> tuple[float, float]:
 def lights_from_outside(
     plan: TourPlan, up: Float[np.ndarray, "3"]
 ) -> tuple[list[Light], list[tuple[float, float]]]:
-    """Sky and sun of each window, and the lumens with their kelvin that they let in."""
+    """Open sky and its sun, then sky and sun of each window; and the lumens of each with their kelvin.
+
+    Those of an open sky are on a square metre of level ground.
+    """
     sky = plan.sky()
     toward = sky.toward @ compass(plan.north, up)
     lights: list[Light] = []
     flux: list[tuple[float, float]] = []
+    if plan.open_sky:
+        lights.append(SkyLight(_float32(up), _float32(sky.sky), _color(sky.sky_kelvin)))
+        flux.append((sky.sky, sky.sky_kelvin))
+        if sky.direct > 0 and sky.toward[2] > LEAST_COSINE:
+            sun = _float32(unit(-toward)), _float32(sky.direct), _color(sky.direct_kelvin), SUN_RADIUS
+            lights.append(DirectionalLight(*sun))
+            flux.append((sky.ground - sky.sky, sky.direct_kelvin))
     for window in plan.windows:
         inward, area = unit(np.asarray(window.normal)), window.width * window.height
         center = as_point(np.asarray(window.center) + 0.01 * inward)
@@ -194,7 +207,7 @@ def lights_from_outside(
         lights.append(RectLight.filling(opening, _float32(lumen), _color(sky.sky_kelvin)))
         flux.append((lumen, sky.sky_kelvin))
         cosine = float(-inward @ toward)
-        if sky.direct > 0 and cosine > 0.02:
+        if sky.direct > 0 and cosine > LEAST_COSINE:
             lux, direction = GLASS_TRANSMITTANCE * sky.direct, _float32(unit(-toward))
             color = _color(sky.direct_kelvin)
             lights.append(DirectionalLight(direction, _float32(lux), color, SUN_RADIUS, opening))

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.tour.plan import KINDS, Lamp, LampKind, Point, Window
+from hyjax.tour.plan import KINDS, SIDE_RANGE, Lamp, LampKind, Point, Window
 from hyjax.util.errors import InputError
 from hyjax.util.vectors import reject, unit
 
@@ -40,6 +40,14 @@ def upright(normal: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> Float
         axis = np.eye(3)[np.argmin(np.abs(normal))]
         across = reject(axis, normal)
     return unit(across)
+
+
+def as_window(
+    center: Float[np.ndarray, "3"], inward: Float[np.ndarray, "3"], width: float, height: float
+) -> Window:
+    """Window of a plan; sides that are too large or too small for one are bounded."""
+    sides = (float(np.clip(side, *SIDE_RANGE)) for side in (width, height))
+    return Window(as_point(center), as_point(inward), *sides)
 
 
 def place_lamp(kind: LampKind, point: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]) -> Lamp:

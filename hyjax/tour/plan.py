@@ -31,7 +31,9 @@ FILE_NAME = r"^(?!\.{1,2}$)[^/\\\x00-\x1f\x7f]*\Z"
 """A name in a folder: no path, no control characters, not the folder itself or its parent."""
 SOURCE_NAME = r"^[^\x00-\x1f\x7f]*\Z"
 """A name of a source of the photo: no control characters."""
-Side = Annotated[float, msgspec.Meta(ge=0.05, le=20)]
+SIDE_RANGE = 0.05, 20.0
+"""Least and largest side of a window, in metres."""
+Side = Annotated[float, msgspec.Meta(ge=SIDE_RANGE[0], le=SIDE_RANGE[1])]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,6 +122,7 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         north: degrees from the room's x axis to north, counter-clockwise seen from above.
         exposure: stops that the picture is brighter than the camera would make it.
         windows, lamps, pieces: what there is.
+        open_sky: whether light from outside comes from all around, and not through windows alone.
         existing: what is left of the sources that lit the photos, by name; those that are not named are off.
     """
 
@@ -132,6 +135,7 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     windows: Annotated[tuple[Window, ...], msgspec.Meta(max_length=MOST_WINDOWS)] = ()
     lamps: Annotated[tuple[Lamp, ...], msgspec.Meta(max_length=MOST_LAMPS)] = ()
     pieces: Annotated[tuple[Piece, ...], msgspec.Meta(max_length=MOST_PIECES)] = ()
+    open_sky: bool = False
     existing: dict[Annotated[str, msgspec.Meta(max_length=80, pattern=SOURCE_NAME)], Factor] = {}
 
     def check(self) -> "TourPlan":

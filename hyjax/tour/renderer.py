@@ -45,8 +45,8 @@ from hyjax.tour.picture import (
     shown_stage,
     surface_stage,
 )
-from hyjax.tour.placement import as_point, north_for_bearing, place_lamp
-from hyjax.tour.plan import LampKind, TourPlan, Window
+from hyjax.tour.placement import as_window, north_for_bearing, place_lamp
+from hyjax.tour.plan import MOST_WINDOWS, LampKind, TourPlan
 from hyjax.tour.uncovered import (
     GREY,
     ROW,
@@ -142,19 +142,15 @@ class Renderer:
         return EditableScene(place.caster, self.up, self.folder, place.occluders, place.slack)
 
     def first_plan(self) -> TourPlan:
-        """Plan of a sunny afternoon, with the capture's own windows or one near the cameras' view."""
-        windows = tuple(
-            Window(as_point(a["center"]), as_point(a["normal"]), float(a["width"]), float(a["height"]))
-            for name, a in sorted(self.capture.anchors.items())
-            if name.startswith("window")
-        )
-        if not windows:
+        """Plan of a sunny afternoon, with the windows or the open sky that named set-ups have here."""
+        if isinstance(self.place, Scene):
+            found = self.place.anchors(at_photo_sources=self.photo_light is not None)
+        else:
             found = survey_capture(self.scene.caster, self.capture)
-            windows = tuple(
-                Window(as_point(w.center), as_point(w.inward), w.width, w.height) for w in found.windows
-            )
+        windows = tuple(as_window(w.center, w.inward, w.width, w.height) for w in found.windows[:MOST_WINDOWS])
         north = north_for_bearing(windows[0], BEARING, self.up)
-        return TourPlan(hour=AFTERNOON, windows=windows, north=north).check()
+        shown = () if found.open_sky else windows
+        return TourPlan(hour=AFTERNOON, windows=shown, open_sky=found.open_sky, north=north).check()
 
     def frame(self, index: int) -> Frame:
         """A frame at the size that is worked at."""

@@ -100,6 +100,11 @@ def test_lamps_and_daylight_and_undo(page: Page) -> None:
     night = page.settled()
     assert apart(night, afternoon) > 10
     assert "22:00: moonlight" in page.page.inner_text(".said")
+    page.page.get_by_label("Open sky").check()
+    assert apart(page.settled(), night) > 1 and page.plan["open_sky"]
+    assert "open sky" in page.page.inner_text(".said")
+    page.page.get_by_label("Open sky").uncheck()
+    np.testing.assert_array_equal(page.settled(), night)
     page.page.get_by_label("Kind").select_option("candle")
     page.press("Add a lamp")
     page.page.mouse.click(*page.place(0.5, 0.75))

@@ -8,12 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 from extras import need
 from msgspec.structs import replace
 
 need("tour")
 
-from box_room import BoxCapture, box_room, moved
+from box_room import CUBE, BoxCapture, box_room, moved
 
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
@@ -23,7 +24,7 @@ from hyjax.data.light_file import write_lights
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.color import to_display
-from hyjax.light.kinds import DirectionalLight, PointLight
+from hyjax.light.kinds import DirectionalLight, PointLight, SkyLight
 from hyjax.metrics.psnr import psnr
 from hyjax.pipeline import refine_visibility
 from hyjax.scene.occluders import complete
@@ -332,3 +333,28 @@ def test_the_first_plan_has_the_rooms_windows(room: RoomCapture) -> None:
     assert plan.sky().direct > 1000
     lights = renderer.lighting.setup(plan).lights
     assert any(isinstance(light, DirectionalLight) for light in lights)
+
+
+def test_the_first_plan_has_the_windows_of_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "windows.yaml"
+    file.write_text("windows: [{center: [0, 2.5, 1.5], normal: [0, -1, 0], width: 1, height: 30}]")
+    renderer = Renderer(Scene(BoxCapture(), box_room(), photo_sources=file))
+    window = renderer.first_plan().windows[0]
+    np.testing.assert_allclose(window.center, (0, 2.5, 1.5), atol=1e-5)
+    assert (window.width, window.height) == (1, 20), "as large as a plan takes"
+
+
+def test_a_place_without_walls_is_opened_under_the_open_sky() -> None:
+    """Sky and sun all around, as named set-ups have them there; the sun's shadow follows the hour."""
+    floor = trimesh.creation.box(bounds=[[-2, -2.5, -0.1], [2, 2.5, 0]])
+    cube = trimesh.creation.box((0.7, 0.7, 0.7), trimesh.transformations.translation_matrix(CUBE))
+    renderer = Renderer(Scene(BoxCapture(), trimesh.util.concatenate([floor, cube])), keep_photo_light=True)
+    plan = renderer.first_plan()
+    assert plan.open_sky and not plan.windows
+    sky, sun, _ = renderer.lighting.setup(plan).lights
+    assert isinstance(sky, SkyLight) and isinstance(sun, DirectionalLight) and sun.aperture is None
+    assert float(sun.direction[2]) < -0.3
+    assert 0 < float(sky.illuminance) < float(sun.illuminance)
+    pictures = [renderer.render(replace(plan, hour=hour), VIEW).linear for hour in (9.0, 16.0)]
+    assert np.abs(np.subtract(*pictures)).max() > 0.1
+    assert not [type(light) for light in renderer.lighting.setup(replace(plan, open_sky=False)).lights[:-1]]

@@ -5,7 +5,7 @@ import { balanced, fileEntry, flicker, lampEntry, planLamp } from "./plan.js";
 
 const NAMES = { bulb: "Bulb", spot: "Spot", candle: "Candle", strip: "Strip" };
 const USUAL = 2700; // kelvin by which a lamp counts that was given a colour
-const OUTSIDE = ["hour", "day", "latitude", "north", "weather", "windows"];
+const OUTSIDE = ["hour", "day", "latitude", "north", "weather", "windows", "open_sky"];
 const DARK = { lights: [], lumen: 0, kelvin: USUAL, lux: 0 };
 const UNREFINED = { schedule: "", kappa: 0, steps: 1 };
 
