@@ -19,6 +19,8 @@ from hyjax.util.sizes import parse_size
 if TYPE_CHECKING:
     import trimesh
 
+TIMED_LAYOUTS = ("arkit", "stray")
+"""Layouts with a time of each frame."""
 _log = logging.getLogger(__name__)
 
 
@@ -111,6 +113,8 @@ def write_capture(capture: Capture, layout: Layout, out: Path, progress: bool = 
         "arkit": (write_arkit.fill_arkit, write_arkit.FOLDERS),
         "stray": (write_stray.fill_stray, write_stray.FOLDERS),
     }[layout]
+    if layout in TIMED_LAYOUTS and not capture.times_known:
+        _log.warning("%s: its frames have no times; their order gives those that are written", capture.name)
     frames = _WholeFrames(capture, progress)
     with new_folder(out) as folder:
         for name in folders:

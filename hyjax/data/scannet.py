@@ -93,11 +93,12 @@ def open_sens(tree: FileTree) -> Recording:
     if lost:
         remarks.append(f"{len(lost)} of {len(entries)} frames are left out, they have no pose (first: {lost[0]})")
     posed = [entry for entry in entries if rigid(entry.pose) is not None]
-    times = _times(posed, faults)
+    times = _recorded_times(posed, faults)
+    seconds = [entry.number / 30 for entry in posed] if times is None else times
     empty = [entry.number for entry in posed if not entry.colour_bytes]
     if empty:
         faults.append(f"{len(empty)} frames have no picture (first: {empty[0]})")
-    shots = [_shot(tree, name, header, entry, time) for entry, time in zip(posed, times)]
+    shots = [_shot(tree, name, header, entry, time) for entry, time in zip(posed, seconds)]
     if not shots:
         raise InputError(f"{where}: none of {len(entries)} frames has a pose{': '.join(['', *faults])}")
     up = mean_up([shot.pose for shot in shots], where)
@@ -110,6 +111,7 @@ def open_sens(tree: FileTree) -> Recording:
         sensor=KINECT,
         faults=faults,
         remarks=remarks,
+        times_known=times is not None,
     )
 
 
@@ -190,8 +192,8 @@ def _index(file: BinaryIO, header: _Header, where: str, size: int) -> tuple[list
     return entries, [f"{where} is truncated: {len(entries)} of {header.count} frames are whole"]
 
 
-def _times(entries: list[_Entry], faults: list[str]) -> list[float]:
-    """Seconds of each frame; thirty a second where the clock stands still, or goes back."""
+def _recorded_times(entries: list[_Entry], faults: list[str]) -> list[float] | None:
+    """Seconds of each frame; None where the clock stands still, or goes back: thirty a second are taken there."""
     stamps = [entry.time for entry in entries]
     backwards = [entry.number for entry, before in zip(entries[1:], stamps) if entry.time < before]
     if backwards:
@@ -199,7 +201,7 @@ def _times(entries: list[_Entry], faults: list[str]) -> list[float]:
             f"the clock goes back {len(backwards)} times (first: frame {backwards[0]}); 30 a second taken"
         )
     if backwards or len(set(stamps)) < len(stamps):
-        return [entry.number / 30 for entry in entries]
+        return None
     return [(stamp - stamps[0]) * 1e-6 for stamp in stamps]
 
 

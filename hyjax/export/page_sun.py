@@ -1,4 +1,4 @@
-"""Sun by the hour: lights through a room's windows for every half hour of a day, as entries of a lights file."""
+"""Sun by the hour: light from outside for every half hour of a day, as entries of a lights file."""
 
 import logging
 from typing import Any
@@ -9,8 +9,6 @@ from hyjax.data.frames import spread
 from hyjax.device.page_scene import setup_content
 from hyjax.scene.scene import Scene
 
-BEARING = 240.0
-"""Bearing of the first window, degrees from north: an afternoon sun comes in."""
 STEP_HOURS = 0.5
 """Hours."""
 CAMERAS = 8
@@ -19,27 +17,18 @@ _log = logging.getLogger(__name__)
 
 
 def sun_table(scene: Scene) -> dict[str, Any] | None:
-    """Lights of each half hour of a day; None without the extra `tour`, or for a room without windows."""
-    windows = scene.photo_light.sources.windows
-    if not windows:
-        _log.info("web: no sun by the hour: this room has no windows")
-        return None
+    """Lights of each half hour of a day; None without the extra `tour`."""
     try:
         from hyjax.tour.lighting import ADAPTATION, LEAST_AMBIENT, WALL_REFLECTANCE, Lighting
-        from hyjax.tour.placement import as_window, north_for_bearing
-        from hyjax.tour.plan import MOST_WINDOWS, TourPlan
+        from hyjax.tour.placement import sunny_plan
     except ImportError:
         _log.warning("web: the page has no sun by the hour, which needs the extra 'tour': pip install '.[tour]'")
         return None
-    up = np.asarray(scene.capture.up, float)
-    openings = tuple(
-        as_window(w.center, w.normal, *(2.0 * float(np.linalg.norm(side)) for side in (w.right, w.up)))
-        for w in windows[:MOST_WINDOWS]
-    )
-    plan = TourPlan(windows=openings, north=north_for_bearing(openings[0], BEARING, up))
+    anchors = scene.anchors(at_photo_sources=scene.knows_photo_light)
+    plan = sunny_plan(anchors)
     cameras = [scene.capture.camera(index) for index in spread(range(len(scene.capture)), CAMERAS)]
     photo = scene.photo_light.estimate.light if scene.knows_photo_light else None
-    lighting, rows = Lighting(scene.caster, cameras, up, photo), []
+    lighting, rows = Lighting(scene.caster, cameras, anchors.up, photo), []
     for hour in np.arange(0.0, 24.0, STEP_HOURS):
         at = _at(plan, float(hour))
         rows.append(

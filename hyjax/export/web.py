@@ -205,7 +205,7 @@ def _readme(content: dict[str, Any]) -> str:
     by_hour = (
         f"The sun by the hour is that of {sun['day']} at {sun['latitude']:g} degrees north."
         if sun
-        else "This page has no sun by the hour: the room has no windows, or the extra `tour` was not installed."
+        else "This page has no sun by the hour: the extra `tour` was not installed."
     )
     return f"""# {content["name"]}, relit in the browser
 

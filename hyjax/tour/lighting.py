@@ -62,7 +62,7 @@ class Outside:
     """Light through the windows and from an open sky, as a camera shows it that is exposed for the room.
 
     Attributes:
-        lights: sky and sun, those of an open sky and of each window, the sun dimmer than it is where it would burn out.
+        lights: sky and sun, of an open sky and of each window; the sun dimmer than it is where it would burn out.
         lumen, kelvin: of all of it, as far as the room throws it back.
         lux: illuminance that the camera exposes for.
     """

@@ -6,10 +6,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.tour.plan import KINDS, SIDE_RANGE, Lamp, LampKind, Point, Window
+from hyjax.scene.light_places import LightAnchors
+from hyjax.tour.plan import KINDS, MOST_WINDOWS, SIDE_RANGE, Lamp, LampKind, Point, TourPlan, Window
 from hyjax.util.errors import InputError
 from hyjax.util.vectors import reject, unit
 
+AFTERNOON = 16.0
+"""Hour of a sunny afternoon."""
+BEARING = 240.0
+"""Bearing of the first window in it, degrees from north: the sun comes in."""
 SMALLEST_WINDOW = 0.1
 """Metres: the least width and height of a drawn window."""
 WALL_TOLERANCE, WALL_COSINE = 0.1, 0.95
@@ -42,12 +47,18 @@ def upright(normal: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> Float
     return unit(across)
 
 
-def as_window(
-    center: Float[np.ndarray, "3"], inward: Float[np.ndarray, "3"], width: float, height: float
-) -> Window:
-    """Window of a plan; sides that are too large or too small for one are bounded."""
-    sides = (float(np.clip(side, *SIDE_RANGE)) for side in (width, height))
-    return Window(as_point(center), as_point(inward), *sides)
+def sunny_plan(anchors: LightAnchors) -> TourPlan:
+    """Plan of a sunny afternoon, with the windows or the open sky that named set-ups have in a place.
+
+    Windows that are too large or too small for a plan are bounded.
+    """
+    windows = tuple(
+        Window(as_point(w.center), as_point(w.inward), *np.clip([w.width, w.height], *SIDE_RANGE).tolist())
+        for w in anchors.windows[:MOST_WINDOWS]
+    )
+    north = north_for_bearing(windows[0], BEARING, anchors.up)
+    shown = () if anchors.open_sky else windows
+    return TourPlan(hour=AFTERNOON, windows=shown, open_sky=anchors.open_sky, north=north).check()
 
 
 def place_lamp(kind: LampKind, point: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]) -> Lamp:

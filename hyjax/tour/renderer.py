@@ -45,8 +45,8 @@ from hyjax.tour.picture import (
     shown_stage,
     surface_stage,
 )
-from hyjax.tour.placement import as_window, north_for_bearing, place_lamp
-from hyjax.tour.plan import MOST_WINDOWS, LampKind, TourPlan
+from hyjax.tour.placement import place_lamp, sunny_plan
+from hyjax.tour.plan import LampKind, TourPlan
 from hyjax.tour.uncovered import (
     GREY,
     ROW,
@@ -69,7 +69,6 @@ ALBEDO = 0.6
 """Of a mesh whose true colours are unknown."""
 LEAST_UNSEEN = 0.02
 """Share of what furniture uncovers, that no photo shows, from which it is said."""
-AFTERNOON, BEARING = 16.0, 240.0
 LOOKED_AT = 24
 """Frames that are looked at for what furniture uncovers."""
 EXPOSED_FRAMES = 8
@@ -147,10 +146,7 @@ class Renderer:
             found = self.place.anchors(at_photo_sources=self.photo_light is not None)
         else:
             found = survey_capture(self.scene.caster, self.capture)
-        windows = tuple(as_window(w.center, w.inward, w.width, w.height) for w in found.windows[:MOST_WINDOWS])
-        north = north_for_bearing(windows[0], BEARING, self.up)
-        shown = () if found.open_sky else windows
-        return TourPlan(hour=AFTERNOON, windows=shown, open_sky=found.open_sky, north=north).check()
+        return sunny_plan(found)
 
     def frame(self, index: int) -> Frame:
         """A frame at the size that is worked at."""

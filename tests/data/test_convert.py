@@ -279,3 +279,14 @@ def test_depth_without_a_picture_is_told_to_be_left_out(tmp_path: Path, caplog: 
     scan = write_scanner3d(tmp_path / "scan", box_room(4), picture_every=3)
     assert convert(ConvertSettings(capture=scan, to="nerfstudio", out=tmp_path / "out", quiet=True)) == 2
     assert "depth maps without a picture" in caplog.text
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_times_that_no_one_recorded_are_told_where_they_are_written(
+    layout: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    source = Source()
+    source.times_known = False
+    write_capture(source, layout, tmp_path / "out", False)
+    told = ["source: its frames have no times; their order gives those that are written"]
+    assert caplog.messages == told * (layout == "arkit")
