@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
     from hyjax.geometry.scan import PosedDepths, ScanConfig
 
+MARGIN_DEPTH = 0.03
+"""Largest share of a picture's side in a margin that shows nothing, as where a lens was undone."""
+
 
 @checked_arguments
 @dataclasses.dataclass(frozen=True)

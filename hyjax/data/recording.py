@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.data.capture import Capture, Frame
+from hyjax.data.capture import MARGIN_DEPTH, Capture, Frame
 from hyjax.data.capture_files import tree_depth
 from hyjax.data.file_tree import FileTree
 from hyjax.data.lens import Distortion, undistorted
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 Y_UP, Z_UP = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 MOST_METRES = 1e5
 """Metres from the world's origin beyond which a camera's position is taken for garbage."""
-MARGIN_WHITE, MARGIN_SHARE, MARGIN_DEPTH = 0.92, 0.95, 0.03
-"""Least value of a white margin's pixels, their least share in its lines, and its largest share of a side."""
+MARGIN_WHITE, MARGIN_SHARE = 0.92, 0.95
+"""Least value of a white margin's pixels, and their least share in its lines."""
 AXIS_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 DepthAndConfidence = tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"] | None]

@@ -8,14 +8,12 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from hyjax.data.capture import Frame
+from hyjax.data.capture import MARGIN_DEPTH, Frame
 from hyjax.geometry.raycast import RayCaster
 
 SATURATED_VALUE = 0.97
 """Display value from which a sensor is saturated."""
 SATURATED_WEIGHT = 0.02
-MARGIN_DEPTH = 0.03
-"""Largest share of a picture's side in a black margin."""
 GRAZING_COSINE = 0.15
 """Cosine of the viewing angle below which a surface is too grazing to be read."""
 DEPTH_SLACK = 0.03
