@@ -114,7 +114,9 @@ def write_capture(capture: Capture, layout: Layout, out: Path, progress: bool = 
         "stray": (write_stray.fill_stray, write_stray.FOLDERS),
     }[layout]
     if layout in TIMED_LAYOUTS and not capture.times_known:
-        _log.warning("%s: its frames have no times; their order gives those that are written", capture.name)
+        _log.warning(
+            "%s: no times were recorded; made-up ones are written, in the order of the frames", capture.name
+        )
     frames = _WholeFrames(capture, progress)
     with new_folder(out) as folder:
         for name in folders:

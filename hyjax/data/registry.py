@@ -46,6 +46,8 @@ DEEPEST_FOLDER = 16
 """Folders in folders that a capture may lie in."""
 MOST_FOLDERS = 100
 """Folders, at any depth, that are looked into to say which one is a capture."""
+MOST_NAMED = 6
+"""Most captures in a folder that are named."""
 PHONE_SHAPE = [192, 256]
 """Shape of a phone's depth maps, by which they are known in layouts that name no sensor."""
 _log = logging.getLogger(__name__)
@@ -140,9 +142,13 @@ def detect_format(tree: FileTree) -> tuple[FileTree, CaptureFormat]:
         names = " and ".join(f"{entry.name} ({entry.signs})" for entry in fitting)
         raise InputError(f"{tree.path}: looks like {names}; move the files of one of them elsewhere")
     above = {parent.as_posix() for name in tree.names for parent in PurePosixPath(name).parents}
-    for folder in sorted(above - {"."}, key=lambda folder: (folder.count("/"), folder))[:MOST_FOLDERS]:
-        if inner := _fitting(tree.subtree(folder)):
-            raise InputError(f"{tree.path}: not a capture, but {folder}/ in it is ({inner[0].name}); give that")
+    folders = sorted(above - {"."}, key=lambda folder: (folder.count("/"), folder))[:MOST_FOLDERS]
+    inside = [f"{folder}/ ({inner[0].name})" for folder in folders if (inner := _fitting(tree.subtree(folder)))]
+    if inside:
+        some = ", ".join(inside[:MOST_NAMED]) + ", …" * (len(inside) > MOST_NAMED)
+        raise InputError(
+            f"{tree.path}: not a capture, but has {some}; give {'that' if len(inside) == 1 else 'one'}"
+        )
     raise InputError(f"{tree.path}: not a known capture layout; known are: {known_formats()}")
 
 

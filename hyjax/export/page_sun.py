@@ -7,7 +7,12 @@ import numpy as np
 
 from hyjax.data.frames import spread
 from hyjax.device.page_scene import setup_content
+from hyjax.scene.light_places import tell_made_up
 from hyjax.scene.scene import Scene
+from hyjax.tour.lighting import ADAPTATION, LEAST_AMBIENT, WALL_REFLECTANCE, Lighting, lights_from_outside
+from hyjax.tour.placement import sunny_plan
+from hyjax.util.errors import InputError
+from hyjax.util.extras import optional_module
 
 STEP_HOURS = 0.5
 """Hours."""
@@ -19,14 +24,14 @@ _log = logging.getLogger(__name__)
 def sun_table(scene: Scene) -> dict[str, Any] | None:
     """Lights of each half hour of a day; None without the extra `tour`."""
     try:
-        from hyjax.tour.lighting import ADAPTATION, LEAST_AMBIENT, WALL_REFLECTANCE, Lighting
-        from hyjax.tour.placement import sunny_plan
-    except ImportError:
-        _log.warning("web: the page has no sun by the hour, which needs the extra 'tour': pip install '.[tour]'")
+        optional_module("astral", "tour", "web: the page has no sun by the hour")
+    except InputError as error:
+        _log.warning("%s", error)
         return None
     anchors = scene.anchors(at_photo_sources=scene.knows_photo_light)
     plan = sunny_plan(anchors)
     cameras = [scene.capture.camera(index) for index in spread(range(len(scene.capture)), CAMERAS)]
+    tell_made_up("sun by the hour", anchors, lights_from_outside(plan, anchors.up)[0])
     photo = scene.photo_light.estimate.light if scene.knows_photo_light else None
     lighting, rows = Lighting(scene.caster, cameras, anchors.up, photo), []
     for hour in np.arange(0.0, 24.0, STEP_HOURS):

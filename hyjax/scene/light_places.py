@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from hyjax.data.capture import Capture
 from hyjax.geometry.camera import Camera
-from hyjax.geometry.raycast import RayCaster
+from hyjax.geometry.raycast import Hits, RayCaster
 from hyjax.light.kinds import Aperture, Light, PointLight, RectLight, SkyLight
 from hyjax.scene.seen_surface import SeenSurface
 from hyjax.util.vectors import fibonacci_sphere, perpendicular, reject, unit
@@ -53,6 +53,8 @@ OUTER_DEPTH = (0.15, 3.0)
 """Depths, in metres, behind an outer wall between which nothing was scanned."""
 LEAST_OPEN = 0.5
 """Least share of the seen surface with nothing above it for a place without walls to lie under the open sky."""
+MOST_AROUND = 0.25
+"""Largest share of directions in which something was scanned around an open place."""
 AZIMUTHS = 16
 """Number of directions in which walls are looked for."""
 
@@ -107,7 +109,7 @@ class LightAnchors:
         windows: the room's own windows, and those of the stops that none of these reaches.
         made_up: places of the lamps and windows that are not the room's own.
         open_sky: whether light from outside comes from all around: no window is known, no wall for one was found,
-            and most of what is seen has nothing above it.
+            there is little around, and most of what is seen has nothing above it.
     """
 
     up: Vector
@@ -138,10 +140,11 @@ def survey(
     focus, eye = np.median(few.points, axis=0), few_eyes.mean(axis=0)
     points = _points(caster, focus, eye, up)
     stops = _stops(caster, seen, eyes, up)
-    lamps = [np.asarray(given[name]["position"], float) for name in sorted(given) if name.startswith("lamp")]
+    names = sorted(given, key=lambda name: (len(name), name))  # window_2 before window_10
+    lamps = [np.asarray(given[name]["position"], float) for name in names if name.startswith("lamp")]
     if lamps or len(stops) > 1:
         lamps += [stop.lamp for stop in stops if not _has_lamp(caster, stop, lamps)]
-    windows = [_known_window(given[name]) for name in sorted(given) if name.startswith("window")]
+    windows = [_known_window(given[name]) for name in names if name.startswith("window")]
     own_lamps, own_windows = sum(name.startswith("lamp") for name in given), len(windows)
     dark = [stop for stop in stops if not _has_window(seen, stop, windows, up)]
     chosen = dark if len(dark) <= MOST_WINDOWS else dark[:: -(-len(dark) // MOST_WINDOWS)]
@@ -151,7 +154,9 @@ def survey(
     if not lamps:
         lamps = [_cleared(caster, place, _nearest(few_eyes, eye), up) for place in points]
     made_up = {"lamp": lamps[own_lamps:], "window": [window.center for window in windows[own_windows:]]}
-    open_sky = all(window.in_free_space for window in windows) and seen.under_open_sky(up) >= LEAST_OPEN
+    bare = all(window.in_free_space for window in windows) and seen.under_open_sky(up) >= LEAST_OPEN
+    # A room whose ceiling was not scanned, in the middle of others, has nothing above and no outer wall.
+    open_sky = bare and float(np.mean([_around(caster, stop, up)[2].hit.mean() for stop in stops])) < MOST_AROUND
     return LightAnchors(up, focus, points, lamps, windows, stops, seen, made_up, open_sky)
 
 
@@ -253,13 +258,7 @@ def _has_window(seen: SeenSurface, stop: Stop, windows: Sequence[WindowPlace], u
 
 def _made_up_window(caster: RayCaster, seen: SeenSurface, stop: Stop, up: Vector) -> WindowPlace:
     """Window in the outer wall from where it lights most of a stop evenly; in free space where there is no wall."""
-    forward = level_direction(stop.focus - stop.eye, up)
-    middle = 0.5 * (stop.focus + stop.eye)
-    middle += min(0.4, 0.7 * _free(caster, middle, up)) * up
-    aside = np.cross(forward, up)
-    angles = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
-    rays = np.cos(angles)[:, None] * forward + np.sin(angles)[:, None] * aside
-    hits = caster.cast(np.broadcast_to(middle, rays.shape), rays)
+    middle, rays, hits = _around(caster, stop, up)
     places = []
     for ray, distance, face in zip(rays, hits.distance, hits.face, strict=True):
         if not WALL_DISTANCES[0] < distance < WALL_DISTANCES[1]:
@@ -274,7 +273,7 @@ def _made_up_window(caster: RayCaster, seen: SeenSurface, stop: Stop, up: Vector
         if _free(caster, behind, -inward) > OUTER_DEPTH[1]:
             places.append(WindowPlace(center, inward, WINDOW_WIDTH, WINDOW_HEIGHT))
     if not places:  # beside the view, to the side with more room
-        for side in (aside, -aside):
+        for side in rays[[AZIMUTHS // 4, 3 * AZIMUTHS // 4]]:
             reach = min(_free(caster, middle, side), 2.5)
             places.append(
                 WindowPlace(middle + 0.9 * reach * side, -side, WINDOW_WIDTH, WINDOW_HEIGHT, in_free_space=True)
@@ -282,6 +281,16 @@ def _made_up_window(caster: RayCaster, seen: SeenSurface, stop: Stop, up: Vector
     lights = [RectLight.filling(place.opening(up), 1000.0, np.ones(3)) for place in places]
     lux = seen.chosen(stop.points).lux(lights)
     return places[int(np.argmax(np.log(lux + 1.0).mean(axis=0)))]
+
+
+def _around(caster: RayCaster, stop: Stop, up: Vector) -> tuple[Vector, Float[np.ndarray, "a 3"], Hits]:
+    """Middle of a stop, level rays from it all around, the first ahead, and what they hit."""
+    forward = level_direction(stop.focus - stop.eye, up)
+    middle = 0.5 * (stop.focus + stop.eye)
+    middle += min(0.4, 0.7 * _free(caster, middle, up)) * up
+    angles = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+    rays = np.cos(angles)[:, None] * forward + np.sin(angles)[:, None] * np.cross(forward, up)
+    return middle, rays, caster.cast(np.broadcast_to(middle, rays.shape), rays)
 
 
 def _points(caster: RayCaster, focus: Vector, eye: Vector, up: Vector) -> list[Vector]:

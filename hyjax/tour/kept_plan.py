@@ -59,6 +59,7 @@ class KeptPlan:
     def _read(self) -> TourPlan:
         file, light = self._file, self._renderer.photo_light
         if not file.is_file():
+            self._renderer.tell_made_up()
             return self._renderer.first_plan()
         text = read_text(file)
         try:

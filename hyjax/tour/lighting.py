@@ -50,7 +50,7 @@ SPOT_DEGREES = 20.0, 40.0
 """Half angles of a spot's cone: fully lit inside the first, dark outside the second."""
 SUN_RADIUS = np.asarray(np.deg2rad(0.27), np.float32)
 LEAST_COSINE = 0.02
-"""Least cosine of the sun's direction with an opening for sun to come in."""
+"""Least cosine between the sun's direction and a window's normal for sun to come in."""
 LEAST_AMBIENT = 1e-3
 """Lux: a picture is never entirely dark."""
 KEPT_HOURS, KEPT_LIGHTS = 64, 64
@@ -59,7 +59,7 @@ KEPT_HOURS, KEPT_LIGHTS = 64, 64
 
 @dataclasses.dataclass(frozen=True)
 class Outside:
-    """Light through the windows and from an open sky, as a camera shows it that is exposed for the room.
+    """Light through the windows or from an open sky, as a camera shows it that is exposed for the room.
 
     Attributes:
         lights: sky and sun, of an open sky and of each window; the sun dimmer than it is where it would burn out.
@@ -181,7 +181,7 @@ def mixed(flux: Sequence[tuple[float, float]]) -> tuple[float, float]:
 def lights_from_outside(
     plan: TourPlan, up: Float[np.ndarray, "3"]
 ) -> tuple[list[Light], list[tuple[float, float]]]:
-    """Open sky and its sun, then sky and sun of each window; and the lumens of each with their kelvin.
+    """Sky and sun, open or of each window, and the lumens of each with their kelvin.
 
     Those of an open sky are on a square metre of level ground.
     """
@@ -192,11 +192,11 @@ def lights_from_outside(
     if plan.open_sky:
         lights.append(SkyLight(_float32(up), _float32(sky.sky), _color(sky.sky_kelvin)))
         flux.append((sky.sky, sky.sky_kelvin))
-        if sky.direct > 0 and sky.toward[2] > LEAST_COSINE:
+        if sky.direct > 0 and sky.toward[2] > 0:
             sun = _float32(unit(-toward)), _float32(sky.direct), _color(sky.direct_kelvin), SUN_RADIUS
             lights.append(DirectionalLight(*sun))
             flux.append((sky.ground - sky.sky, sky.direct_kelvin))
-    for window in plan.windows:
+    for window in () if plan.open_sky else plan.windows:
         inward, area = unit(np.asarray(window.normal)), window.width * window.height
         center = as_point(np.asarray(window.center) + 0.01 * inward)
         opening = _rectangle(center, as_point(inward), window.width, window.height, as_point(up))

@@ -122,7 +122,7 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         north: degrees from the room's x axis to north, counter-clockwise seen from above.
         exposure: stops that the picture is brighter than the camera would make it.
         windows, lamps, pieces: what there is.
-        open_sky: whether light from outside comes from all around, and not through windows alone.
+        open_sky: whether light from outside comes from all around, and not through the windows.
         existing: what is left of the sources that lit the photos, by name; those that are not named are off.
     """
 

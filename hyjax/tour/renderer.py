@@ -29,7 +29,7 @@ from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
-from hyjax.scene.light_places import survey_capture
+from hyjax.scene.light_places import LightAnchors, survey_capture, tell_made_up
 from hyjax.scene.relighter import LitFrame, Relighter, configured_light, refine
 from hyjax.scene.scene import Scene
 from hyjax.tour.arrangement import Arrangement
@@ -142,11 +142,17 @@ class Renderer:
 
     def first_plan(self) -> TourPlan:
         """Plan of a sunny afternoon, with the windows or the open sky that named set-ups have here."""
+        return sunny_plan(self._anchors())
+
+    def tell_made_up(self) -> None:
+        """Log which places of the first plan's light are made up."""
+        tell_made_up("tour", self._anchors(), self.lighting.outside(self.first_plan()).lights)
+
+    def _anchors(self) -> LightAnchors:
         if isinstance(self.place, Scene):
-            found = self.place.anchors(at_photo_sources=self.photo_light is not None)
-        else:
-            found = survey_capture(self.scene.caster, self.capture)
-        return sunny_plan(found)
+            return self.place.anchors(at_photo_sources=self.photo_light is not None)
+        # The walls of a scan that has only begun may still come.
+        return dataclasses.replace(survey_capture(self.scene.caster, self.capture), open_sky=False)
 
     def frame(self, index: int) -> Frame:
         """A frame at the size that is worked at."""

@@ -402,7 +402,7 @@ def test_a_folder_of_scans_is_told_to_give_one(scan: Path, tmp_path: Path) -> No
     (tmp_path / "raw" / "metadata.csv").touch()
     for folder in (tmp_path / "raw", scan.parent):
         shutil.copytree(scan, scan.parent / "42000000", dirs_exist_ok=True)
-        with pytest.raises(InputError, match=rf"{folder}: .*{VIDEO}/ in it is \(ARKitScenes\); give that"):
+        with pytest.raises(InputError, match=rf"{folder}: not a capture, but has .*{VIDEO}/ \(ARKitScenes\)"):
             open_capture(folder)
 
 

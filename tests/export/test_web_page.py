@@ -11,10 +11,12 @@ import json
 import re
 import runpy
 import shutil
+import sys
 import threading
 import time
 import warnings
 from collections.abc import Iterator, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -32,6 +34,7 @@ from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import load_room
 from hyjax.data.light_file import read_lights
 from hyjax.device.page_scene import pack_arrays
+from hyjax.export.page_sun import sun_table
 from hyjax.export.web import THUMBNAIL, check_page_folder, write_page
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.kinds.point import PointLight
@@ -161,6 +164,7 @@ def test_the_folder_is_complete(folder: Path) -> None:
     with Image.open(folder / THUMBNAIL) as thumbnail:
         assert thumbnail.size == (96, 72) and thumbnail.convert("L").getextrema()[1] > 60
     assert not list(folder.parent.glob(".*")), "nothing temporary is left"
+    assert bool(page["sun"]) == (find_spec("astral") is not None)
     if page["sun"]:
         assert [row["hour"] for row in page["sun"]["rows"]] == [0.5 * k for k in range(48)]
         by_day = [row for row in page["sun"]["rows"] if row["lux"] > 300]
@@ -175,6 +179,15 @@ def test_the_page_asks_nobody_else(folder: Path) -> None:
             text = file.read_text().replace("http://localhost", "")
             assert not re.search(r"https?://|@import|eval\(", text), file.name
     assert "default-src 'self'" in (folder / "index.html").read_text()
+
+
+def test_without_the_extra_a_page_has_no_sun_by_the_hour(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setitem(sys.modules, "astral", None)
+    assert sun_table(Scene.__new__(Scene)) is None
+    (line,) = caplog.messages
+    assert line.startswith("web: the page has no sun by the hour: needs the package astral; install it with")
 
 
 def test_scripts_are_short_modules() -> None:

@@ -103,3 +103,14 @@ def test_a_wall_that_is_merely_burnt_out_is_no_window(box: RayCaster) -> None:
         x, y = frame.camera.project(corners)[0].T
         frame.image[y.astype(int), x.astype(int)] = 1.0
     assert search_sources(box, frames, UP)[0] == ()
+
+
+def test_specks_of_a_large_picture_are_not_burnt_out(box: RayCaster) -> None:
+    """As they are not where it was made smaller before: foliage had a window and a lamp at one size alone."""
+    small = picture(EYES[0], LAMP)
+    camera = Camera(small.camera.intrinsics.resize(960, 1280), small.camera.pose)
+    image = np.full((960, 1280, 3), 0.3, np.float32)
+    image[2::4, 2::4] = 1.0
+    image[400:480, 600:680] = 1.0
+    seen = sight(box, Frame("large", image, camera, 0.0))
+    assert seen.low.shape == (240, 320) and 0.9 * 20**2 <= seen.burnt.sum() <= 1.1 * 21**2

@@ -340,9 +340,15 @@ def test_quantiles_of_pictures_are_numpys(values: np.ndarray, quantile: float, b
     assert nothing.of_cameras(none.astype(float), quantile).shape == (0,)
 
 
-@pytest.mark.parametrize("more", ["wall", "ceiling", "window"])
-def test_a_wall_a_ceiling_or_a_known_window_leaves_no_open_sky(more: str) -> None:
+@pytest.mark.parametrize("more", ["wall", "ceiling", "window", "rooms"])
+def test_a_wall_a_ceiling_a_known_window_or_rooms_around_leave_no_open_sky(more: str) -> None:
+    sides = [(side * np.cos(a), side * np.sin(a)) for side in (2.6, 3.8) for a in np.pi / 2 * np.arange(4)]
+    walls = [
+        trimesh.creation.box((0.1 + 2 * abs(y), 0.1 + 2 * abs(x), 2.4)).apply_translation((x, y, 1.2))
+        for x, y in sides
+    ]
     parts = {
+        "rooms": trimesh.util.concatenate(walls),
         "wall": trimesh.creation.box(bounds=[[-2.0, 2.0, 0.0], [2.0, 2.1, 2.5]]),
         "ceiling": trimesh.creation.box(bounds=[[-2.0, -2.0, 2.4], [2.0, 2.0, 2.5]]),
     }

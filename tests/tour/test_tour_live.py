@@ -23,6 +23,7 @@ from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera, look_at
 from hyjax.live.scene import LiveScene
+from hyjax.scene.light_places import survey_capture
 from hyjax.scene.settings import SceneSettings
 from hyjax.tour.arriving import Arriving
 from hyjax.tour.live import LiveCapture, LiveRenderer
@@ -69,6 +70,18 @@ def test_exposed_anew_as_often_as_twice_as_many_frames_have_arrived(scanned: Liv
             exposed.append(capture.arrived)
             lighting = renderer.lighting
     assert exposed == [2, 4, 8] and len(capture) == 2
+
+
+def test_a_scan_that_has_only_begun_opens_no_sky() -> None:
+    """Its walls may still come."""
+    (frame,), scene, capture = frames(room(), looking(MIDDLE, 1)), LiveScene(voxel=0.05), LiveCapture(UP)
+    scene.add(frame)
+    scene.update()
+    capture.append(frame)
+    renderer = LiveRenderer(scene, capture)
+    assert survey_capture(scene.caster, capture).open_sky
+    plan = renderer.first_plan()
+    assert plan.windows and not plan.open_sky
 
 
 def test_frames_that_look_beside_the_surface_leave_the_exposure(scanned: LiveScene) -> None:

@@ -21,6 +21,7 @@ from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import UP, RoomCapture, load_room
 from hyjax.data.frames import fit
 from hyjax.data.light_file import write_lights
+from hyjax.export.page_sun import sun_table
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.color import to_display
@@ -348,7 +349,8 @@ def test_a_place_without_walls_is_opened_under_the_open_sky() -> None:
     """Sky and sun all around, as named set-ups have them there; the sun's shadow follows the hour."""
     floor = trimesh.creation.box(bounds=[[-2, -2.5, -0.1], [2, 2.5, 0]])
     cube = trimesh.creation.box((0.7, 0.7, 0.7), trimesh.transformations.translation_matrix(CUBE))
-    renderer = Renderer(Scene(BoxCapture(), trimesh.util.concatenate([floor, cube])), keep_photo_light=True)
+    scene = Scene(BoxCapture(), trimesh.util.concatenate([floor, cube]))
+    renderer = Renderer(scene, keep_photo_light=True)
     plan = renderer.first_plan()
     assert plan.open_sky and not plan.windows
     sky, sun, _ = renderer.lighting.setup(plan).lights
@@ -357,4 +359,11 @@ def test_a_place_without_walls_is_opened_under_the_open_sky() -> None:
     assert 0 < float(sky.illuminance) < float(sun.illuminance)
     pictures = [renderer.render(replace(plan, hour=hour), VIEW).linear for hour in (9.0, 16.0)]
     assert np.abs(np.subtract(*pictures)).max() > 0.1
-    assert not [type(light) for light in renderer.lighting.setup(replace(plan, open_sky=False)).lights[:-1]]
+    low = renderer.lighting.setup(replace(plan, hour=19.95)).lights
+    assert any(isinstance(light, DirectionalLight) for light in low), "until it sets"
+    window = Window((1.98, 0.0, 1.3), (-1.0, 0.0, 0.0))
+    assert len(renderer.lighting.setup(replace(plan, windows=(window,))).lights) == 3, "no window beside it"
+    assert len(renderer.lighting.setup(replace(plan, open_sky=False)).lights) == 1
+    table = sun_table(scene)
+    assert table is not None
+    assert {light["kind"] for row in table["rows"] for light in row["lights"]} == {"sky", "directional", "ambient"}

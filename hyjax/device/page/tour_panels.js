@@ -38,7 +38,7 @@ function daylight(viewer) {
     weather: choice("Weather", viewer.page.server.weather.map((name) => [name, capital(name)]), set("weather")),
     latitude: slider("Latitude", { min: -90, max: 90, step: 1 }, set("latitude"), (value) => `${Math.abs(value)}° ${value < 0 ? "S" : "N"}`),
     north: slider("North", { min: 0, max: 359, step: 1 }, set("north"), (value) => `${value}°`),
-    open_sky: box("Open sky, without walls", set("open_sky")),
+    open_sky: box("Open sky in place of windows", set("open_sky")),
   };
   const said = made("p", { className: "said" });
   viewer.addEventListener("change", () => {
@@ -52,7 +52,7 @@ function daylight(viewer) {
 }
 
 const WINDOWS = {
-  id: "windows", field: "windows", title: "Windows", tool: "window", add: "Draw a window", name: "Window", none: "No windows",
+  id: "windows", field: "windows", title: "Windows", tool: "window", add: "Draw a window", name: "Window", none: "No windows: no light through any",
   body(viewer, thing) {
     const size = (text, name, max) => {
       const field = slider(text, { min: 0.1, max, step: 0.05 }, (value) => {
