@@ -377,6 +377,17 @@ def test_dark_frames_name_the_file_of_the_lights(
     assert "of 5e+04 into lights.json, and give that" in first and f"into {tmp_path / 'dim.json'}, and" in second
 
 
+def test_pictures_of_an_earlier_run_are_told(
+    wall: RayCaster, setup: LightSetup, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    options = {"size": (20, 20), "shadows": False, "paper_mode": True}
+    for frames in ("all", "all", "2"):
+        relight(wall, setup, tmp_path, frames=frames, **options)
+    told = [record.message for record in caplog.records if "earlier run" in record.message]
+    line = "has a picture of an earlier run, too (f0.relit.png), which the contact sheet does not show"
+    assert told == [f"{tmp_path}: {line}"]
+
+
 def test_frames_that_burn_out_are_said(
     wall: RayCaster, setup: LightSetup, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

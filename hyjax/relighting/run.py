@@ -190,6 +190,7 @@ def relight_run(
                 f"{scene.capture.name}: no ray of any chosen frame met the mesh; are the mesh and the poses in the "
                 "same coordinates (metres, camera-to-world)?"
             )
+        tell_of_earlier_pictures(out, summary.written)
         if divides and scene.photo_light.sources.origin != "capture" and scene.photo_light.estimate.exponent:
             _log.warning("%s: %s", scene.capture.name, scene.photo_light.summary(scene.photo_light.estimate))
         if str(asked) in SETUPS:
@@ -236,6 +237,21 @@ def tell_of_another_device(configuration: Configuration) -> None:
             configuration.name,
             measured.device,
             here,
+        )
+
+
+def tell_of_earlier_pictures(out: Path, written: Sequence[str]) -> None:
+    """Log pictures that other runs have left in the folder, beside those that were written."""
+    ending = ".relit.png"
+    left = sorted({file.name.removesuffix(ending) for file in out.glob(f"*{ending}")} - set(written))
+    if left:
+        _log.warning(
+            "%s: has %s of an earlier run, too (%s%s%s), which the contact sheet does not show",
+            out,
+            f"{len(left)} pictures" if len(left) > 1 else "a picture",
+            left[0],
+            ending,
+            ", …" if len(left) > 1 else "",
         )
 
 
