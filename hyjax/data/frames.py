@@ -87,7 +87,8 @@ def frame_numbers(text: str) -> list[list[int | None]]:
         except ValueError:
             numbers = []
         if not 1 <= len(numbers) <= 3 or numbers == [None] or numbers[2:] == [0]:
-            raise InputError(f"frames: {text!r} is not of the form all, 7, 0:300:30 or a list of these")
+            forms = "all, 7, 0:300:30 (start:end:step, without the end) or a list of these"
+            raise InputError(f"frames: {text!r} is not of the form {forms}")
         found.append(numbers)
     return found
 

@@ -46,6 +46,8 @@ DEEPEST_FOLDER = 16
 """Folders in folders that a capture may lie in."""
 MOST_FOLDERS = 100
 """Folders, at any depth, that are looked into to say which one is a capture."""
+PICTURES = {".jpg", ".jpeg", ".png", ".heic", ".webp"}
+"""Endings of pictures' names."""
 MOST_NAMED = 6
 """Most captures in a folder that are named."""
 PHONE_SHAPE = [192, 256]
@@ -149,7 +151,9 @@ def detect_format(tree: FileTree) -> tuple[FileTree, CaptureFormat]:
         raise InputError(
             f"{tree.path}: not a capture, but has {some}; give {'that' if len(inside) == 1 else 'one'}"
         )
-    raise InputError(f"{tree.path}: not a known capture layout; known are: {known_formats()}")
+    pictures = any(PurePosixPath(name).suffix.lower() in PICTURES for name in tree.names)
+    poses = "pictures alone are none, poses and depth or a mesh belong to them (docs/own_data.md); " * pictures
+    raise InputError(f"{tree.path}: not a known capture layout; {poses}known are: {known_formats()}")
 
 
 def _fitting(tree: FileTree) -> list[CaptureFormat]:

@@ -141,10 +141,10 @@ class ScenePhotoLight:
         origin = {"file": "named", "capture": "known of the capture", "found": "found in the pictures", "none": ""}
         lit = f"{', '.join(names)} ({origin[sources.origin]})" if names else "no window and no lamp was found"
         brightness, hue = (f"{100 * share:.0f} %" for share in (estimate.exponent, estimate.hue_exponent))
-        shares = f"taken out of them: its brightness by {brightness}, its hue by {hue}"
-        shares = shares if names else f"it is taken to come from what was not scanned; {shares}"
+        found = "it" if names else "light from what was not scanned"
+        shares = f"{found} is divided out, its brightness by {brightness}, its hue by {hue}"
         fate = shares if estimate.exponent else f"it stays in the pictures: {estimate.reason}"
-        remedy = "; if other windows or lamps lit them, name these with --photo-sources"
+        remedy = f"; if {'other ' * bool(names)}windows or lamps lit the photos, name them with --photo-sources"
         return f"light of the photos: {lit}; {fate}{remedy if sources.origin != 'file' else ''}"
 
     def record(self) -> dict[str, Any]:

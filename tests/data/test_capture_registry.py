@@ -98,7 +98,9 @@ def test_defaults_of_a_capture(album: Path) -> None:
 def test_the_new_format_stands_in_the_messages(album: Path, tmp_path: Path) -> None:
     assert "Album (album.json, 0.png)" in known_formats() and "7-Scenes" in known_formats()
     (album / "album.json").unlink()
-    with pytest.raises(InputError, match=r"not a known capture layout; .*7-Scenes .*ARKitScenes .*Album"):
+    with pytest.raises(
+        InputError, match=r"not a known capture layout; pictures alone .*7-Scenes .*ARKitScenes .*Album"
+    ):
         open_capture(album)
     with pytest.raises(InputError, match="'Album' is registered already"):
         register_format(ALBUM)
