@@ -8,7 +8,10 @@ from pathlib import Path
 
 from hyjax.data.archive import ARCHIVES, MOST_FILES, Archive
 from hyjax.data.file_tree import IGNORED, FileTree
-from hyjax.util.errors import InputError
+from hyjax.util.errors import InputError, did_you_mean
+
+MOST_BESIDE = 1000
+"""Most names beside a missing folder that are looked at for the one that was meant."""
 
 
 def open_tree(path: Path) -> FileTree:
@@ -29,10 +32,19 @@ def open_tree(path: Path) -> FileTree:
     if is_folder:
         return _folder(path)
     if not is_file:
-        raise InputError(f"{path}: no such folder; give the folder or the archive of a capture")
+        raise InputError(f"{path}: no such folder{_nearest(path)}; give the folder or the archive of a capture")
     if path.suffix.lower() in ARCHIVES:
         return Archive(path)
     return SingleFile(path)
+
+
+def _nearest(path: Path) -> str:
+    """Hint at the name beside a path that is nearest to its own."""
+    try:
+        beside = [entry.name for entry in itertools.islice(path.parent.iterdir(), MOST_BESIDE)]
+    except OSError:
+        return ""
+    return did_you_mean(path.name, beside)
 
 
 def _folder(path: Path) -> FileTree:

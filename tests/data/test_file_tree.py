@@ -202,3 +202,8 @@ def test_nothing_there(tmp_path: Path) -> None:
         open_tree(tmp_path / "none")
     with pytest.raises(InputError, match="no such folder"):
         open_tree(tmp_path / ("n" * 300))
+    (tmp_path / "scanned_chair").mkdir()
+    with pytest.raises(InputError, match=r"no such folder \(did you mean 'scanned_chair'\?\)"):
+        open_tree(tmp_path / "scanned_chiar")
+    with pytest.raises(InputError, match="no such folder;"):
+        open_tree(tmp_path / "nowhere" / "scanned_chair")
