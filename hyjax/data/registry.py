@@ -46,7 +46,7 @@ DEEPEST_FOLDER = 16
 """Folders in folders that a capture may lie in."""
 MOST_FOLDERS = 100
 """Folders, at any depth, that are looked into to say which one is a capture."""
-PICTURES = {".jpg", ".jpeg", ".png", ".heic", ".webp"}
+PICTURES = (*colmap.PICTURES, ".heic", ".webp")
 """Endings of pictures' names."""
 MOST_NAMED = 6
 """Most captures in a folder that are named."""

@@ -14,7 +14,7 @@ from hyjax.photo_light.radiance import black_margin
 from hyjax.photo_light.sources import SATURATED_VALUE, Vector
 
 LONGEST_SIDE, ROW_PIXELS = 640, 320
-"""Longest side, in pixels, of a frame that is searched: specks of larger ones look burnt; and a sighting's row."""
+"""Longest side of a frame that is searched, and length of a sighting's row, in pixels: finds differ by size."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,7 +13,7 @@ COMPASS_POINTS = "north", "north-east", "east", "south-east", "south", "south-we
 
 
 def describe_daylight(plan: TourPlan, up: Float[np.ndarray, "3"]) -> str:
-    """Date, hour, sun or moon, and where the windows look, as one line."""
+    """Date, hour, sun or moon, and where the windows look, or the open sky, as one line."""
     sky = plan.sky()
     h = plan.hour
     clock = f"{int(h):02d}:{int(h * 60 % 60):02d}"
@@ -27,9 +27,13 @@ def describe_daylight(plan: TourPlan, up: Float[np.ndarray, "3"]) -> str:
     else:
         light = "dark outside"
     day = datetime.date.fromisoformat(plan.day)
-    windows = "".join(
-        f"; window {number + 1} looks {COMPASS_POINTS[round(bearing / 45) % 8]}"
-        for number, window in enumerate(plan.windows)
-        for bearing in [(plan.north - north_for_bearing(window, 0.0, up)) % 360]
+    through = (
+        "; open sky"
+        if plan.open_sky
+        else "".join(
+            f"; window {number + 1} looks {COMPASS_POINTS[round(bearing / 45) % 8]}"
+            for number, window in enumerate(plan.windows)
+            for bearing in [(plan.north - north_for_bearing(window, 0.0, up)) % 360]
+        )
     )
-    return f"{day:%-d %B}, {clock}: {light}{'; open sky' * plan.open_sky}{windows}"
+    return f"{day:%-d %B}, {clock}: {light}{through}"

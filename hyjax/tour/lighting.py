@@ -62,7 +62,7 @@ class Outside:
     """Light through the windows or from an open sky, as a camera shows it that is exposed for the room.
 
     Attributes:
-        lights: sky and sun, of an open sky and of each window; the sun dimmer than it is where it would burn out.
+        lights: sky and sun, open or of each window; the sun dimmer than it is where it would burn out.
         lumen, kelvin: of all of it, as far as the room throws it back.
         lux: illuminance that the camera exposes for.
     """
@@ -105,8 +105,8 @@ class Lighting:
     def setup(self, plan: TourPlan, flicker: Mapping[int, float] | None = None) -> LightSetup:
         """Lights of a plan and the illuminance that the camera exposes for.
 
-        Sky and sun, then the lamps, then one ambient light. The camera does not follow a
-        flicker: exposure is that of steady lamps.
+        Sky and sun, then the lamps, then one ambient light. The camera does not follow a flicker: exposure is that
+        of steady lamps.
 
         Args:
             plan: what is set up.
@@ -196,7 +196,8 @@ def lights_from_outside(
             sun = _float32(unit(-toward)), _float32(sky.direct), _color(sky.direct_kelvin), SUN_RADIUS
             lights.append(DirectionalLight(*sun))
             flux.append((sky.ground - sky.sky, sky.direct_kelvin))
-    for window in () if plan.open_sky else plan.windows:
+        return lights, flux
+    for window in plan.windows:
         inward, area = unit(np.asarray(window.normal)), window.width * window.height
         center = as_point(np.asarray(window.center) + 0.01 * inward)
         opening = _rectangle(center, as_point(inward), window.width, window.height, as_point(up))

@@ -36,7 +36,7 @@ from hyjax.tour.arrangement import Arrangement
 from hyjax.tour.editable_scene import EditableScene
 from hyjax.tour.furniture import merge_gbuffers
 from hyjax.tour.layers import Caches, KeptGuide
-from hyjax.tour.lighting import Lighting, flicker
+from hyjax.tour.lighting import Lighting, flicker, lights_from_outside
 from hyjax.tour.picture import (
     COMPARED_STAGES,
     Reach,
@@ -146,7 +146,8 @@ class Renderer:
 
     def tell_made_up(self) -> None:
         """Log which places of the first plan's light are made up."""
-        tell_made_up("tour", self._anchors(), self.lighting.outside(self.first_plan()).lights)
+        found = self._anchors()
+        tell_made_up("tour", found, lights_from_outside(sunny_plan(found), self.up)[0])
 
     def _anchors(self) -> LightAnchors:
         if isinstance(self.place, Scene):

@@ -52,7 +52,7 @@ function daylight(viewer) {
 }
 
 const WINDOWS = {
-  id: "windows", field: "windows", title: "Windows", tool: "window", add: "Draw a window", name: "Window", none: "No windows: no light through any",
+  id: "windows", field: "windows", title: "Windows", tool: "window", add: "Draw a window", name: "Window", none: "No windows: light from outside under an open sky only",
   body(viewer, thing) {
     const size = (text, name, max) => {
       const field = slider(text, { min: 0.1, max, step: 0.05 }, (value) => {
