@@ -171,9 +171,9 @@ def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str 
     with atomic_write(path) as temporary:
         target = oiio.ImageOutput.create(str(temporary))
         if target is None or not target.open(str(temporary), spec):
-            raise InputError(
-                f"{path}: cannot write ({_first_line(_error(oiio)).replace(str(temporary), str(path))})"
-            )
+            temporary.open("r+b").close()  # the system's reason, which OpenImageIO does not give of a PNG
+            complaint = _error(oiio if target is None else target)
+            raise InputError(f"{path}: cannot write ({_first_line(complaint).replace(str(temporary), str(path))})")
         written = target.write_image(np.ascontiguousarray(pixels))
         closed = target.close()
         complaint = _error(target)

@@ -5,10 +5,12 @@ import itertools
 import logging
 import shutil
 import time
+import types
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 import hyjax
@@ -19,7 +21,7 @@ from hyjax.util.claims import claimed
 from hyjax.util.clock import Stopwatch, measure_each
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable, new_folder, remove_stale, write_text
-from hyjax.util.images import write_png
+from hyjax.util.images import write_exr, write_png
 from hyjax.util.run_log import RunLog
 
 PICTURE = np.zeros((4, 5, 3), np.float32)
@@ -82,6 +84,32 @@ def test_a_folder_that_vanishes_while_it_is_filled_is_one_line(tmp_path: Path) -
         shutil.rmtree(folder)
         write_text(folder / "a.txt", "text")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("write, suffix", [(write_png, "png"), (write_exr, "exr")])
+@pytest.mark.parametrize("before", ["open", "close"])
+def test_a_folder_that_vanishes_under_a_picture_is_one_line(
+    tmp_path: Path, write: Callable, suffix: str, before: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    create = oiio.ImageOutput.create
+
+    def created(path: str) -> object:
+        target = create(path)
+        real = getattr(target, before)
+
+        def late(*arguments: object) -> object:
+            shutil.rmtree(out)
+            return real(*arguments)
+
+        names = ("open", "write_image", "close", "geterror")
+        return types.SimpleNamespace(**{name: getattr(target, name) for name in names} | {before: late})
+
+    monkeypatch.setattr(oiio, "ImageOutput", types.SimpleNamespace(create=created))
+    with pytest.raises(InputError, match=r"out.*cannot write \(No such file or directory\)$") as caught:
+        write(out / f"a.{suffix}", PICTURE)
+    assert ".part" not in str(caught.value) and not out.exists()
 
 
 def test_a_cache_that_is_a_file_costs_one_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
