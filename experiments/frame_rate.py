@@ -216,7 +216,7 @@ def finer(scene: Scene, faces: int) -> Scene:
     while len(mesh.faces) < faces:
         divided = min(len(mesh.faces), -(-(faces - len(mesh.faces)) // 3))
         mesh = mesh.subdivide(face_index=np.arange(divided))
-    return Scene(scene.capture, mesh, exact=True)
+    return Scene(scene.capture, mesh, slack=None)
 
 
 def add_rate(results: Results, scene: Scene, config: Config, sampling: int) -> None:

@@ -35,7 +35,7 @@ from hyjax.light.color import blackbody
 from hyjax.light.kinds import PointLight
 from hyjax.live.follow import Follower
 from hyjax.live.scene import VOXEL, LiveScene
-from hyjax.scene.occluders import SURFACE_ERROR
+from hyjax.scene.surfaces import SURFACE_ERROR
 from hyjax.synthetic.room import make_room
 from hyjax.synthetic.room.path import camera_path
 from hyjax.util.environment import peak_memory_mib

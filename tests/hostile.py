@@ -159,7 +159,7 @@ def more_calls(folder: Path) -> dict[str, Call]:
 
     weights = Path(hyjax.__file__).parent / "guide/trained/small.safetensors"
     capture, (network, _) = ListedFrames([frame], up, PHONE_LIDAR), load_network(weights)
-    scene = Scene(capture, box, exact=True)
+    scene = Scene(capture, box, slack=None)
     kept = Configuration.preset("fast").with_choices({"photo_light": "kept"})
     relighter = Relighter(scene, [LIGHT], kept)
     caster = RayCaster(box)

@@ -37,9 +37,9 @@ from hyjax.live.caster import LiveCaster
 from hyjax.live.mesh import LiveMesh
 from hyjax.live.shadow import LiveShadowMaps, LiveSurface
 from hyjax.live.volume import LiveVolume, make_pool
-from hyjax.scene.occluders import SURFACE_ERROR
 from hyjax.scene.place import view_of
 from hyjax.scene.settings import Occluders
+from hyjax.scene.surfaces import SURFACE_ERROR
 from hyjax.util.errors import InputError
 
 VOXEL = 0.04

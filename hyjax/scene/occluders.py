@@ -3,7 +3,7 @@
 Legs of chairs and rims of tables are lost in a headset's coarse triangles, and holes let light through that the
 room keeps out. Shadows may be thrown by anything that is known: here also by a finer fusion of the same depth maps,
 where there are any, and with small holes closed. What it throws on itself for being only so accurate is forgiven
-(`SURFACE_ERROR`).
+(`hyjax.scene.surfaces.SURFACE_ERROR`).
 """
 
 import logging
@@ -28,8 +28,6 @@ LONGEST_GAP = 0.5
 """Longest edge that closes a hole, in metres."""
 VOXEL = 0.03
 """Voxel of the finer fusion, in metres."""
-SURFACE_ERROR = 0.03
-"""Largest error of a scan's surface in metres, see `hyjax.light.shadow_map.ShadowMap`."""
 _log = logging.getLogger(__name__)
 
 

@@ -28,12 +28,12 @@ from hyjax.scene.fusion_settings import FUSED
 from hyjax.scene.kept_maps import KeptMaps, Maps
 from hyjax.scene.light_places import LightAnchors, survey_capture
 from hyjax.scene.light_setups import check_setup_name, named_setup, placed_setup
-from hyjax.scene.occluders import SURFACE_ERROR, completed, fine_detail
+from hyjax.scene.occluders import completed, fine_detail
 from hyjax.scene.photo_light import ScenePhotoLight
 from hyjax.scene.place import view_of
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.settings import Occluders, SceneSettings, parse_size
-from hyjax.scene.surfaces import surface_arrays, will_fuse
+from hyjax.scene.surfaces import SURFACE_ERROR, surface_arrays, will_fuse
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.cache import cache_folder
 from hyjax.util.clock import StageClock
@@ -62,7 +62,8 @@ class Scene:
         mesh: surface in the capture's world coordinates.
         size: (height, width) to work at; None as captured.
         source: the mesh in a few words, for the record.
-        exact: whether the mesh is accurate and has no holes, so that it throws its shadows as it is.
+        slack: metres that the mesh may be wrong by (see `ShadowMap`); None for one that is accurate and has no
+            holes, so that it throws its shadows as it is.
         detail: makes, when first needed, a finer surface that throws shadows, too; None for none.
         photo_sources: file that names the windows and lamps that lit the frames; None to find them.
         progress: show bars on stderr.
@@ -79,7 +80,7 @@ class Scene:
         *,
         size: tuple[int, int] | None = None,
         source: str = "mesh",
-        exact: bool = False,
+        slack: float | None = SURFACE_ERROR,
         detail: "Callable[[], trimesh.Trimesh | MeshArrays | None]" = lambda: None,
         photo_sources: Path | None = None,
         progress: bool = False,
@@ -91,7 +92,7 @@ class Scene:
         self.capture, self.size, self.source, self._sources_file = capture, size, source, photo_sources
         self.caster = RayCaster(mesh)
         self._anchors: dict[bool, LightAnchors] = {}
-        self.exact, self._detail, self._completed = exact, detail, None if not exact else self.caster
+        self.slack, self._detail, self._completed = slack, detail, None if slack is not None else self.caster
         self.kept_maps, self.maps_on_disk, self._progress = KeptMaps(), True, progress
         self.settings: SceneSettings | None = None
 
@@ -126,7 +127,7 @@ class Scene:
                 from hyjax.scene.alignment import AlignedCapture, aligned  # slow to load
 
                 capture = aligned(capture, settings.fusion, progress)
-            source, mesh = surface_arrays(
+            source, mesh, slack = surface_arrays(
                 capture,
                 settings.mesh,
                 fusion=settings.fusion,
@@ -149,7 +150,7 @@ class Scene:
                 mesh,
                 size=parse_size(settings.size),
                 source=source,
-                exact=settings.mesh == "true",
+                slack=slack,
                 detail=detail,
                 photo_sources=settings.photo_sources,
                 progress=progress,
@@ -243,11 +244,6 @@ class Scene:
             finer = None if detail is None else MeshArrays.of(detail)
             self._completed = RayCaster(completed(self.caster.arrays, finer))
         return self._completed
-
-    @property
-    def slack(self) -> float | None:
-        """Slack of shadow maps of `occluders`, see `ShadowMap`."""
-        return None if self.exact else SURFACE_ERROR
 
     @checked_arguments
     def shadow_maps(

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from hyjax.data.capture import Capture
 from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.scene.fusion_settings import FusionSettings
@@ -24,9 +26,14 @@ ENOUGH_COVERAGE = 0.9
 """Coverage of a device's mesh from which no fusion is tried."""
 LEAST_GAIN = 0.03
 """Least gain of coverage of a fusion over the device's mesh."""
+SURFACE_ERROR, LARGEST_ERROR = 0.03, 0.1
+"""Least and largest slack of shadows (`hyjax.light.shadow_map.ShadowMap`) of a mesh that is not exact; metres."""
+READINGS_OFF = 3.0
+"""Slack by the median distance between depth readings and mesh: of normal errors 96 % are smaller."""
 SENSOR_DEFAULTS = FusionSettings()
 _log = logging.getLogger(__name__)
 MESH_NAMES = ("captured", "scan", "fused", "true")
+Surface = tuple[str, MeshArrays, float | None]
 
 
 def surface_of(
@@ -52,7 +59,7 @@ def surface_of(
     Returns:
         Name of the chosen mesh, in a few words, and the mesh.
     """
-    source, arrays = surface_arrays(capture, mesh, fusion=fusion, seed=seed, repair=repair, progress=progress)
+    source, arrays, _ = surface_arrays(capture, mesh, fusion=fusion, seed=seed, repair=repair, progress=progress)
     return source, arrays.mesh
 
 
@@ -65,10 +72,13 @@ def surface_arrays(
     repair: bool = False,
     progress: bool = True,
     tracked: Capture | None = None,
-) -> tuple[str, MeshArrays]:
+) -> Surface:
     """Surface as arrays, so that one from the cache is there at once.
 
     Args: see `surface_of`; `tracked` is the capture with the device's own poses, with which its mesh was made.
+
+    Returns:
+        Name of the chosen mesh, in a few words, the mesh, and the slack of its shadows (see `Scene`).
     """
     check_surface(fusion, seed)
     if mesh is None and capture.has_reference:
@@ -93,7 +103,7 @@ def surface_arrays(
         true = capture.reference()
         if true is None:
             raise InputError("mesh: this capture has no true mesh; use 'fused', 'scan' or a file")
-        return "true mesh", MeshArrays.of(true)
+        return "true mesh", MeshArrays.of(true), None
     if not capture.depth_count:
         raise InputError(f"{capture.name}: the capture has no depth to make a mesh of; give one with --mesh FILE")
     description = f"simulated scan, seed {seed}"
@@ -103,7 +113,7 @@ def surface_arrays(
 
         return simulate_scan(*capture.scan_input(), seed, progress)
 
-    return description, kept(description, capture, make)
+    return description, kept(description, capture, make), SURFACE_ERROR
 
 
 def will_fuse(capture: Capture, mesh: str | None, fusion: FusionSettings) -> bool:
@@ -143,14 +153,12 @@ def _fused(capture: Capture, fusion: FusionSettings, progress: bool) -> tuple[st
     return str(plan), kept(repr(plan), capture, make)
 
 
-def _captured_or_fused(
-    capture: Capture, tracked: Capture, fusion: FusionSettings, progress: bool
-) -> tuple[str, MeshArrays]:
+def _captured_or_fused(capture: Capture, tracked: Capture, fusion: FusionSettings, progress: bool) -> Surface:
     """Mesh of the device, or the fusion of its depth where that has clearly more of the measured depth."""
     from hyjax.scene.fusion import tell_coverage
 
     if not capture.depth_count:
-        return _captured(capture)
+        return *_captured(capture), SURFACE_ERROR
     try:
         chosen = _captured(capture)
     except InputError as error:
@@ -164,7 +172,7 @@ def _captured_or_fused(
             fused = _fused(capture, fusion, progress)
         except InputError as error:
             _log.warning("%s; taking the %s", error, chosen[0])
-            return chosen
+            return *chosen, _slack(coverage)
         fused_coverage = _coverage(capture, fused[1], fusion)
         if fused_coverage.covered > coverage.covered + LEAST_GAIN:
             _log.warning(
@@ -177,15 +185,22 @@ def _captured_or_fused(
             )
             chosen, coverage = fused, fused_coverage
     tell_coverage(capture, chosen[0], coverage)
-    return chosen
+    return *chosen, _slack(coverage)
 
 
-def _judged(capture: Capture, description: str, mesh: MeshArrays) -> tuple[str, MeshArrays]:
-    if capture.depth_count:
-        from hyjax.scene.fusion import tell_coverage
+def _judged(capture: Capture, description: str, mesh: MeshArrays) -> Surface:
+    if not capture.depth_count:
+        return description, mesh, SURFACE_ERROR
+    from hyjax.scene.fusion import tell_coverage
 
-        tell_coverage(capture, description, _coverage(capture, mesh))
-    return description, mesh
+    coverage = _coverage(capture, mesh)
+    tell_coverage(capture, description, coverage)
+    return description, mesh, _slack(coverage)
+
+
+def _slack(coverage: "Coverage") -> float:
+    known = np.nan_to_num(coverage.distance, nan=0.0)
+    return float(np.clip(READINGS_OFF * known, SURFACE_ERROR, LARGEST_ERROR))
 
 
 def kept(description: str, capture: Capture, make: "Callable[[], trimesh.Trimesh]") -> MeshArrays:

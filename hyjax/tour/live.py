@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.live.scene import LiveScene
-from hyjax.scene.occluders import SURFACE_ERROR
+from hyjax.scene.surfaces import SURFACE_ERROR
 from hyjax.tour.editable_scene import EditableScene
 from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import LampKind, TourPlan

@@ -57,7 +57,7 @@ def scene() -> hyjax.Scene:
     walls = trimesh.creation.box(bounds=[[-2, -2.5, 0], [2, 2.5, 2.5]])
     walls.invert()
     cube = trimesh.creation.box((0.7, 0.7, 0.7), trimesh.transformations.translation_matrix([0.5, 0.4, 0.35]))
-    return hyjax.Scene(Boxes(), trimesh.util.concatenate([walls, cube]), exact=True)
+    return hyjax.Scene(Boxes(), trimesh.util.concatenate([walls, cube]), slack=None)
 
 
 @pytest.fixture(scope="module")

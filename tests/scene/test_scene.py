@@ -104,7 +104,7 @@ def test_what_throws_shadows_is_asked_for_once_and_an_exact_mesh_does_it_itself(
         (completed,) = scene.shadow_maps(lights)
         assert completed is not None and completed.slack is not None
     assert scene.occluders is not scene.caster and len(asked) == 1
-    exact = Scene(Box(), box(), detail=detail, exact=True)
+    exact = Scene(Box(), box(), detail=detail, slack=None)
     assert exact.occluders is exact.caster and exact.slack is None and len(asked) == 1
 
 

@@ -17,7 +17,7 @@ from hyjax.geometry.mesh import save_mesh
 from hyjax.scene import fusion
 from hyjax.scene.fusion import FusionPlan
 from hyjax.scene.fusion_settings import MAX_FUSED_FRAMES, FusionSettings
-from hyjax.scene.surfaces import surface_of
+from hyjax.scene.surfaces import LARGEST_ERROR, SURFACE_ERROR, surface_arrays, surface_of
 from hyjax.util.errors import InputError
 from hyjax.util.images import write_png
 
@@ -222,6 +222,33 @@ def test_fusing_a_wall_gives_the_wall(cache: Path) -> None:
     assert np.abs(mesh.vertices[:, 0] - 2.0).max() < 0.03
     assert np.ptp(mesh.vertices[:, 1]) > 1.5
     assert same(mesh, get(Wall(), fusion=FusionSettings(voxel=0.05)))
+
+
+@pytest.mark.parametrize(
+    "error, least, most",
+    [(0.0, SURFACE_ERROR, SURFACE_ERROR), (0.03, 0.05, 0.07), (0.3, LARGEST_ERROR, LARGEST_ERROR)],
+)
+def test_the_slack_of_shadows_is_what_the_scan_is_wrong_by(
+    cache: Path, tmp_path: Path, error: float, least: float, most: float
+) -> None:
+    wall, pick = Wall(), np.random.default_rng(0)
+    depth = wall.frames[0].depth  # of all of them
+    assert depth is not None
+    depth += pick.normal(0.0, error, depth.shape).astype(np.float32)
+    save_mesh(
+        tmp_path / "wall.ply", trimesh.creation.box((0.2, 8.0, 8.0), np.diag([1.0] * 4) + np.eye(4, k=3) * 2.1)
+    )
+    _, _, slack = surface_arrays(wall, str(tmp_path / "wall.ply"), progress=False)
+    assert slack is not None and least <= slack <= most
+
+
+def test_a_true_mesh_has_no_slack_and_what_nobody_can_judge_the_least(room: RoomCapture, tmp_path: Path) -> None:
+    assert surface_arrays(room, "true", progress=False)[2] is None
+    save_mesh(tmp_path / "ball.ply", trimesh.creation.icosphere(1))
+    assert surface_arrays(Wall(depth=False), str(tmp_path / "ball.ply"), progress=False)[2] == SURFACE_ERROR
+    away = Wall()
+    away.frames[0].depth[...] = 0.0  # type: ignore[index]
+    assert surface_arrays(away, str(tmp_path / "ball.ply"), progress=False)[2] == SURFACE_ERROR
 
 
 def test_a_device_mesh_in_other_units_is_replaced_by_the_fusion_but_not_when_strict(
