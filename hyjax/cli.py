@@ -95,7 +95,7 @@ def parse() -> Any:
             )
     except SystemExit as end:
         if end.code:
-            raise InputError(usage_error(said.getvalue())) from None
+            raise InputError(usage_error(said.getvalue(), *arguments[:1])) from None
         raise
     sys.stderr.write(said.getvalue())
     return command

@@ -126,8 +126,18 @@ def test_help_beside_a_long_argument_comes_once(
         (["relight", "--size"], "Missing value for argument '--size'. Expected 1 values"),
         (
             ["relite"],
-            "Unrecognized options: relite; available subcommands: relight, tune, sweep, train, tour, export, "
-            "serve, convert, info",
+            "'relite': no such command (did you mean 'relight'?); there are relight, tune, sweep, train, tour, "
+            "export, serve, convert, info",
+        ),
+        (
+            ["--lights", "night"],
+            "'--lights': a command comes first; there are relight, tune, sweep, train, tour, export, serve, "
+            "convert, info",
+        ),
+        (
+            ["export", "--to", "webb"],
+            "invalid choice 'webb' for argument '--to'. Expected one of ('web', 'bench', 'stablehlo', 'iree', "
+            "'onnx', 'litert', 'coreml') (did you mean 'web'?)",
         ),
         (["relight", "kitchen"], "kitchen: is no option; a capture is given as --capture kitchen"),
         (
@@ -142,7 +152,8 @@ def test_a_usage_error_is_one_line(
     monkeypatch.setattr(sys, "argv", ["hyjax", *arguments])
     with pytest.raises(SystemExit, match="2"):
         cli.main()
-    assert capsys.readouterr().err.removesuffix("; see hyjax --help\n").rstrip("\n") == f"hyjax: {line}"
+    help_of = f"; see hyjax {arguments[0]} --help\n"
+    assert capsys.readouterr().err.removesuffix(help_of).rstrip("\n") == f"hyjax: {line}"
 
 
 def test_notes_of_the_reader_of_options_are_not_lost(

@@ -7,14 +7,13 @@ import trimesh
 from jaxtyping import Bool, Float, Int
 
 from hyjax.data.capture import Frame
-from hyjax.data.frames import shrink
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import wall_axes
 from hyjax.photo_light.radiance import black_margin
 from hyjax.photo_light.sources import SATURATED_VALUE, Vector
 
-LONGEST_SIDE, ROW_PIXELS = 640, 320
-"""Longest side of a frame that is searched, and length of a sighting's row, in pixels: finds differ by size."""
+ROW_PIXELS = 320
+"""Length of a sighting's row, in pixels."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,7 +43,6 @@ class Sighting:
 
 def sight(caster: RayCaster, frame: Frame) -> Sighting:
     """Make the sighting of a frame."""
-    frame = shrink(frame, LONGEST_SIDE)
     step = max(1, frame.camera.intrinsics.width // ROW_PIXELS)
     rays = frame.camera.rays()[step // 2 :: step, step // 2 :: step]
     hits = caster.cast(frame.camera.origin, rays.reshape(-1, 3))

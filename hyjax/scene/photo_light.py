@@ -35,11 +35,11 @@ from hyjax.util.programs import run_kept
 
 FRAME_COUNT = 24
 """Number of frames, spread over the capture, for the estimate of the photo's light."""
-FRAME_WIDTH = 800
-"""Largest longer side of these frames, in pixels."""
+FRAME_WIDTH = 640
+"""Largest longer side of these frames, in pixels. Larger ones are shrunk to it: found sources differ by size."""
 PANE_FRAMES, PANE_WIDTH = 12, 320
 """Number of frames for the means of panes, and their longer side in pixels."""
-VERSION = 23
+VERSION = 24
 """Version of sources and estimate. Add one when either changes."""
 _log = logging.getLogger(__name__)
 _Stored = tuple[Estimate, Float[np.ndarray, "n 3"]]

@@ -10,7 +10,7 @@ import sys
 import warnings
 from typing import Any
 
-from hyjax.util.errors import one_line
+from hyjax.util.errors import did_you_mean, one_line, shown
 
 FILE_SECONDS = 5.0
 """Least seconds between the states of a progress bar that goes to a file."""
@@ -18,6 +18,8 @@ LONGEST_USAGE_ERROR = 400
 """Characters of a message about the command line."""
 OPTION_PATTERN = re.compile(r"--[\w-]+")
 """Name of an option in such a message."""
+CHOICE_PATTERN = re.compile(r"invalid choice '(.*?)' .*one of \((.*)\)")
+"""Value that is no choice of its option, and the choices, in such a message."""
 
 
 class OneLine(logging.Formatter):
@@ -90,25 +92,34 @@ def _show(message: Warning | str, *_: Any, **__: Any) -> None:
     write_above_bars(one_line(f"hyjax: {message}"))
 
 
-def usage_error(box: str) -> str:
+def usage_error(box: str, command: str = "") -> str:
     """Line of a usage error that tyro has drawn as a box, with the likest of the options that it takes for meant.
 
+    Args:
+        command: first argument, which names the command where it is one.
+
     Example:
-        >>> usage_error("title\\n--\\n Unrecognized options: --lihgt \\n --\\n Perhaps you meant:\\n  --lights STR")
-        'Unrecognized options: --lihgt; perhaps --lights; see hyjax --help'
+        >>> box = "title\\n--\\n Unrecognized options: --lihgt \\n --\\n Perhaps you meant:\\n  --lights STR"
+        >>> usage_error(box, "tune")
+        'Unrecognized options: --lihgt; perhaps --lights; see hyjax tune --help'
     """
     rows = [row.strip("│ ") for row in box.splitlines()]
     groups = itertools.groupby(rows[1:], key=_is_rule)  # below the title
     said, *more = [" ".join(texts) for is_rule, texts in groups if not is_rule]
+    option = command.startswith("-")
     line = one_line(said, LONGEST_USAGE_ERROR).rstrip(".")
+    if choice := CHOICE_PATTERN.search(said):
+        line += did_you_mean(choice[1], re.findall(r"'(.*?)'", choice[2]))
     for text in more:
         if text.startswith("Perhaps you meant"):
             given, *_ = OPTION_PATTERN.findall(said) or [""]
             likest = difflib.get_close_matches(given, OPTION_PATTERN.findall(text), 1, 0.0)[0]
             line += f"; perhaps {likest}" if likest != given else ", which other commands have"
         elif text.startswith("Available subcommands"):
-            line += f"; {text[0].lower()}{text[1:]}"
-    return f"{line}; see hyjax --help"
+            names = text.partition(":")[2].replace(",", " ").split()
+            said = "a command comes first" if option else f"no such command{did_you_mean(command, names)}"
+            return f"{shown(command)}: {said}; there are {', '.join(names)}"
+    return f"{line}; see hyjax {command}{' ' * bool(command)}--help"
 
 
 def _is_rule(row: str) -> bool:

@@ -18,6 +18,7 @@ from hyjax.light.photo_light import SurfaceLight
 from hyjax.photo_light.estimate import filled_share
 from hyjax.photo_light.source_arrays import sources_from_arrays, sources_to_arrays
 from hyjax.photo_light.sources import PhotoLamp, PhotoSources, PhotoWindow
+from hyjax.scene import photo_light
 from hyjax.scene.relighter import Relighter
 from hyjax.util.errors import InputError
 
@@ -194,6 +195,16 @@ def test_enlarged_pictures_are_taken_as_they_were() -> None:
         scene = Scene(Room(), walls(), size=size)
         shapes = {frame.image.shape[:2] for frame in scene.photo_light._frames}
         assert scene.frame(0).image.shape[:2] == size and shapes == {min(size, LENS.shape)}
+
+
+def test_large_pictures_are_shrunk_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sources that are found are those of the same pictures at half the size."""
+    monkeypatch.setattr(photo_light, "FRAME_WIDTH", LENS.width // 2)
+    frames = Scene(Room(), walls()).photo_light._frames
+    half = Scene(Room(), walls(), size=(LENS.height // 2, LENS.width // 2)).photo_light._frames
+    for frame, smaller in zip(frames, half, strict=True):
+        np.testing.assert_allclose(frame.image, smaller.image, atol=1e-6)
+        np.testing.assert_allclose(frame.camera.intrinsics.matrix, smaller.camera.intrinsics.matrix)
 
 
 def test_an_estimate_that_fails_is_waited_for_no_longer(tmp_path: Path) -> None:
