@@ -58,7 +58,10 @@ def inspect_capture(settings: InfoSettings) -> None:
     for name, value in inspection.lines():
         print(f"{name:<16}{value}")
     print(f"{'picture':<16}{out}")
-    print(f"{'relight it':<16}{relight_command(settings.path, capture, scale=settings.scale)}")
+    whole, quick = (relight_command(settings.path, capture, scale=settings.scale, quick=q) for q in (False, True))
+    if quick != whole:
+        print(f"{'a first look':<16}{quick}")
+    print(f"{'relight it':<16}{whole}")
 
 
 def print_choices() -> None:

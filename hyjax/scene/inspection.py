@@ -25,6 +25,8 @@ from hyjax.util.vectors import orthonormal_frame
 
 SAMPLE_COUNT = 12
 """Number of frames and depth maps to read."""
+QUICK_COUNT, QUICK_SIDE = 4, 640
+"""Number of frames of a first look at a relit capture, and their longer side in pixels."""
 MOST_PLAN_POINTS = 20_000
 """Points of the surface in the plan, at most."""
 SPAN_QUANTILES = (0.01, 0.99)
@@ -243,8 +245,8 @@ def _doubts(
         yield f"the mesh has only {100 * coverage.covered:.0f} % of the depth readings"
 
 
-def relight_command(path: Path | None, capture: Capture, *, scale: float | None = None) -> str:
-    """Command that relights a capture."""
+def relight_command(path: Path | None, capture: Capture, *, scale: float | None = None, quick: bool = False) -> str:
+    """Command that relights a capture; a few of its frames, small, where it is to be quick."""
     words = ["hyjax", "relight"]
     if path is not None:
         words += ["--capture", str(path)]
@@ -254,7 +256,11 @@ def relight_command(path: Path | None, capture: Capture, *, scale: float | None 
         words += ["--scale", "METRES_IN_ONE_UNIT"]
     if not capture.depth_count and not capture.has_mesh:
         words += ["--mesh", "FILE"]
-    words += ["--lights", "evening-lamps"]
+    count, (height, width) = len(capture), capture.camera(0).intrinsics.shape
+    if quick and count > QUICK_COUNT:
+        words += ["--frames", f"0:{count}:{-(-count // QUICK_COUNT)}"]
+    if quick and (share := QUICK_SIDE / max(height, width)) < 1.0:
+        words += ["--size", f"{round(share * width)}x{round(share * height)}"]
     return " ".join(word if word.isupper() else shlex.quote(word) for word in words)
 
 

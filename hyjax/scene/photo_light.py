@@ -1,10 +1,11 @@
 """Photo's own light of a scene: estimated once, kept in the cache folder, joined by the bounces of new lights."""
 
+import contextlib
 import functools
 import hashlib
 import logging
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.frames import shrink, spread
+from hyjax.data.frames import fit, shrink, spread
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_linear
 from hyjax.light.emission import Emitters, radiant_filter
@@ -57,13 +58,12 @@ class ScenePhotoLight:
         self,
         capture: Capture,
         caster: RayCaster,
-        frame: Callable[[int], Frame],
         *,
         size: tuple[int, int] | None = None,
         sources_file: Path | None = None,
         progress: bool = False,
     ) -> None:
-        self._capture, self._caster, self._frame = capture, caster, frame
+        self._capture, self._caster = capture, caster
         self._size, self._sources_file, self._progress = size, sources_file, progress
         self._last: tuple[LightSetup, Sequence[ShadowMap | None] | None, SurfaceLight] | None = None
         self._begun: Future[_Stored] | None = None
@@ -194,7 +194,11 @@ class ScenePhotoLight:
             for name, place in capture.anchors.items()
         )
         known = [repr(np.asarray(capture.up).tolist()), repr(anchors), _content(self._sources_file)]
-        return digest([capture.fingerprint, str(self._size), self._caster.arrays.key, *known])
+        sizes = set()
+        for index in self._spread:
+            with contextlib.suppress(InputError):  # told when the frame is read
+                sizes.add(self._frame_size(index))
+        return digest([capture.fingerprint, str(sorted(sizes)), self._caster.arrays.key, *known])
 
     @property
     def _file(self) -> Path:
@@ -244,19 +248,29 @@ class ScenePhotoLight:
     def _frames(self) -> list[Frame]:
         """Frames spread over the capture, no larger than needed."""
 
-        def read(index: int) -> tuple[Frame, int] | None:
+        def read(index: int) -> Frame | None:
             try:
-                frame = self._frame(index)
-                return frame, max(self._capture.camera(index).intrinsics.shape)
+                return self._small_frame(index)
             except InputError as error:  # told in full when it is its turn to be relit
                 _log.info("the photo's light is estimated without frame %d: %s", index, error)
                 return None
 
-        # In order, as videos are read; the next one while this one is shrunk.
-        frames = prefetch(read, spread(range(len(self._capture)), FRAME_COUNT), depth=1)
-        # No larger than they were taken: what is enlarged shows windows that are none.
-        found = [shrink(known[0], min(FRAME_WIDTH, known[1])) for known in frames if known is not None]
-        return found or [self._frame(0)]
+        frames = prefetch(read, self._spread, depth=1)  # in order, as videos are read
+        return [frame for frame in frames if frame is not None] or [self._small_frame(0)]
+
+    @property
+    def _spread(self) -> Sequence[int]:
+        return spread(range(len(self._capture)), FRAME_COUNT)
+
+    def _small_frame(self, index: int) -> Frame:
+        return fit(self._capture[index], self._frame_size(index))
+
+    def _frame_size(self, index: int) -> tuple[int, int]:
+        """Size of a small frame, no larger than it was taken: what is enlarged shows windows that are none."""
+        taken = self._capture.camera(index).intrinsics.shape
+        height, width = self._size or taken
+        share = min(1.0, min(FRAME_WIDTH, max(taken)) / max(height, width))
+        return max(1, round(height * share)), max(1, round(width * share))
 
 
 def _content(file: Path | None) -> str:

@@ -319,7 +319,6 @@ class Scene:
         return ScenePhotoLight(
             self.capture,
             self.caster,
-            self.frame,
             size=self.size,
             sources_file=self._sources_file,
             progress=self._progress,

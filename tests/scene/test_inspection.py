@@ -103,7 +103,9 @@ def test_what_is_doubtful(capture: Walk, doubt: str) -> None:
 
 
 def test_the_command_to_relight_it() -> None:
-    assert relight_command(Path("my scan"), Walk()) == "hyjax relight --capture 'my scan' --lights evening-lamps"
+    assert relight_command(Path("my scan"), Walk()) == "hyjax relight --capture 'my scan'"
+    quick = relight_command(Path("x"), Walk(), quick=True)
+    assert quick == "hyjax relight --capture x --frames 0:6:2"
     bare = Walk(depth=False)
     bare.metric = False
     command = relight_command(Path("x"), bare)
@@ -126,7 +128,7 @@ def test_the_command_tells_of_a_real_scan(
     cli.main()
     out, err = capsys.readouterr()
     assert "3D Scanner App" in out and "70 maps of 256x192 (phone LiDAR)" in out and "46 poses" in out
-    assert f"hyjax relight --capture {scanner3d_chair} --lights evening-lamps" in out and not err
+    assert f"hyjax relight --capture {scanner3d_chair} --frames 0:24:6 --size 640x480\n" in out and not err
     assert (tmp_path / "out" / "scanner3d_chair-info.png").is_file()
     monkeypatch.setattr("sys.argv", ["hyjax", "info", str(tmp_path / "none")])
     with pytest.raises(SystemExit) as ended:

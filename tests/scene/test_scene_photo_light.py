@@ -43,11 +43,13 @@ class Room(Capture):
     def __len__(self) -> int:
         return 2
 
+    def camera(self, index: int) -> Camera:
+        return Camera(LENS, look_at(np.array([0.2 * index, -1.0, 0.1]), np.array([0.0, 2.0, 0.0]), UP))
+
     def __getitem__(self, index: int) -> Frame:
         self.read += 1
         image = np.random.default_rng(index).uniform(0.3, 0.9, (*LENS.shape, 3)).astype(np.float32)
-        camera = Camera(LENS, look_at(np.array([0.2 * index, -1.0, 0.1]), np.array([0.0, 2.0, 0.0]), UP))
-        return Frame(f"f{index}", image, camera, float(index))
+        return Frame(f"f{index}", image, self.camera(index), float(index))
 
 
 def walls(side: float = 4.0) -> trimesh.Trimesh:
@@ -86,6 +88,15 @@ def test_the_next_start_reads_no_frame_and_finds_the_same(from_file: bool, named
     if from_file:
         np.testing.assert_array_equal(after.emitters.pane_means, before.emitters.pane_means)
         assert 0.05 < float(after.emitters.pane_means.min()) < float(after.emitters.pane_means.max()) < 0.9
+
+
+def test_another_size_of_large_pictures_takes_the_kept_light(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(photo_light, "FRAME_WIDTH", LENS.width // 2)
+    rooms = [Room() for _ in range(4)]
+    sizes = (None, (LENS.height // 2, LENS.width // 2), (3, 4), (2 * LENS.height, 2 * LENS.width))
+    found = [Scene(room, walls(), size=size).photo_light.estimate for room, size in zip(rooms, sizes, strict=True)]
+    assert [bool(room.read) for room in rooms] == [True, False, True, False]
+    np.testing.assert_array_equal(found[0].light.illuminance, found[1].light.illuminance)
 
 
 def test_a_light_begun_on_another_thread_is_the_same_and_begun_once(named: Path) -> None:
