@@ -45,6 +45,8 @@ def inspect_capture(settings: InfoSettings) -> None:
     from hyjax.util.files import make_writable
 
     assert settings.path is not None
+    if settings.out is not None and settings.out.suffix.lower() != ".png":
+        raise InputError(f"out: {settings.out}: a picture is written; give a name that ends in .png")
     level = logging.getLogger("hyjax").level
     logging.getLogger("hyjax").setLevel(logging.ERROR)  # its lines stand in the list below
     try:

@@ -130,10 +130,12 @@ def test_the_command_tells_of_a_real_scan(
     assert "3D Scanner App" in out and "70 maps of 256x192 (phone LiDAR)" in out and "46 poses" in out
     assert f"hyjax relight --capture {scanner3d_chair} --frames 0:24:6 --size 640x480\n" in out and not err
     assert (tmp_path / "out" / "scanner3d_chair-info.png").is_file()
-    monkeypatch.setattr("sys.argv", ["hyjax", "info", str(tmp_path / "none")])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 2 and capsys.readouterr().err.count("\n") == 1
+    for wrong in ([str(tmp_path / "none")], [str(scanner3d_chair), "--out", "info"]):
+        monkeypatch.setattr("sys.argv", ["hyjax", "info", *wrong])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        assert ended.value.code == 2 and capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "info").exists()
 
 
 def test_places_and_dates_reach_no_output(
