@@ -23,12 +23,14 @@ class Coverage:
         hit: share of these in which there is any mesh.
         distance: median of the distance between reading and mesh along the camera's axis in metres, where there is
             mesh; NaN if there is none anywhere.
+        error: the same of the covered readings alone: neither holes nor what was not scanned count.
     """
 
     measured: float
     covered: float
     hit: float
     distance: float
+    error: float
 
     @classmethod
     def of(cls, caster: RayCaster | None, readings: Iterable[DepthReading]) -> "Coverage":
@@ -37,8 +39,8 @@ class Coverage:
         Args:
             caster: of the mesh; None where there is none, which covers nothing.
         """
-        pixels = read = covered = hit = 0
-        distances = []
+        pixels = read = hit = 0
+        distances, errors = [], []
         for depth, camera, confidence in readings:
             rows = min(ROWS, depth.shape[0])
             columns = max(1, round(rows * depth.shape[1] / depth.shape[0]))
@@ -57,13 +59,9 @@ class Coverage:
                 found = caster.cast(camera.origin, rays).distance  # rays have unit depth
             error = np.abs(found - measured[valid])
             pixels, read = pixels + valid.size, read + len(rays)
-            covered += int((error < READING_TOLERANCE[0] + READING_TOLERANCE[1] * measured[valid]).sum())
+            errors.append(error[error < READING_TOLERANCE[0] + READING_TOLERANCE[1] * measured[valid]])
             hit += int(np.isfinite(found).sum())
             distances.append(error[np.isfinite(error)])
-        every = np.concatenate(distances) if distances else np.zeros(0)
-        return cls(
-            read / max(pixels, 1),
-            covered / max(read, 1),
-            hit / max(read, 1),
-            float(np.median(every)) if len(every) else float("nan"),
-        )
+        every, near = (np.concatenate(found) if found else np.zeros(0) for found in (distances, errors))
+        distance, error = (float(np.median(found)) if len(found) else float("nan") for found in (every, near))
+        return cls(read / max(pixels, 1), len(near) / max(read, 1), hit / max(read, 1), distance, error)

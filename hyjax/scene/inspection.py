@@ -26,7 +26,7 @@ from hyjax.util.vectors import orthonormal_frame
 SAMPLE_COUNT = 12
 """Number of frames and depth maps to read."""
 QUICK_COUNT, QUICK_SIDE = 4, 640
-"""Number of frames of a first look at a relit capture, and their longer side in pixels."""
+"""Largest number of frames of a first look at a relit capture, and their longer side in pixels."""
 MOST_PLAN_POINTS = 20_000
 """Points of the surface in the plan, at most."""
 SPAN_QUANTILES = (0.01, 0.99)
@@ -246,10 +246,16 @@ def _doubts(
 
 
 def relight_command(path: Path | None, capture: Capture, *, scale: float | None = None, quick: bool = False) -> str:
-    """Command that relights a capture; a few of its frames, small, where it is to be quick."""
+    """Command that relights a capture.
+
+    Args:
+        path: of the capture; None for the built-in room.
+        scale: metres in one unit of its poses.
+        quick: relight a few of its frames, and those small.
+    """
     words = ["hyjax", "relight"]
     if path is not None:
-        words += ["--capture", str(path)]
+        words += ["--capture", shlex.quote(str(path))]
     if scale is not None:
         words += ["--scale", f"{scale:g}"]
     elif not capture.metric:
@@ -258,10 +264,10 @@ def relight_command(path: Path | None, capture: Capture, *, scale: float | None 
         words += ["--mesh", "FILE"]
     count, (height, width) = len(capture), capture.camera(0).intrinsics.shape
     if quick and count > QUICK_COUNT:
-        words += ["--frames", f"0:{count}:{-(-count // QUICK_COUNT)}"]
+        words += ["--frames", ",".join(map(str, spread(range(count), QUICK_COUNT)))]
     if quick and (share := QUICK_SIDE / max(height, width)) < 1.0:
         words += ["--size", f"{round(share * width)}x{round(share * height)}"]
-    return " ".join(word if word.isupper() else shlex.quote(word) for word in words)
+    return " ".join(words)
 
 
 def points_from_above(inspection: Inspection) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "m 2"]]:

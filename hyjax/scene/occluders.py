@@ -3,7 +3,7 @@
 Legs of chairs and rims of tables are lost in a headset's coarse triangles, and holes let light through that the
 room keeps out. Shadows may be thrown by anything that is known: here also by a finer fusion of the same depth maps,
 where there are any, and with small holes closed. What it throws on itself for being only so accurate is forgiven
-(`hyjax.scene.surfaces.SURFACE_ERROR`).
+(`slack` of a `Scene`).
 """
 
 import logging

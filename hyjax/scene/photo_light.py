@@ -1,6 +1,5 @@
 """Photo's own light of a scene: estimated once, kept in the cache folder, joined by the bounces of new lights."""
 
-import contextlib
 import functools
 import hashlib
 import logging
@@ -16,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.frames import fit, shrink, spread
+from hyjax.data.frames import shrink, spread
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_linear
 from hyjax.light.emission import Emitters, radiant_filter
@@ -50,7 +49,7 @@ class ScenePhotoLight:
     """Photo's own light of a scene's frames, computed on demand.
 
     Args:
-        size: (height, width) that it reads them at; None as captured.
+        size: (height, width) that is worked at; None as captured. Frames are no larger, and not cropped.
         sources_file: names the windows and lamps that lit the frames; None to find them.
     """
 
@@ -194,11 +193,7 @@ class ScenePhotoLight:
             for name, place in capture.anchors.items()
         )
         known = [repr(np.asarray(capture.up).tolist()), repr(anchors), _content(self._sources_file)]
-        sizes = set()
-        for index in self._spread:
-            with contextlib.suppress(InputError):  # told when the frame is read
-                sizes.add(self._frame_size(index))
-        return digest([capture.fingerprint, str(sorted(sizes)), self._caster.arrays.key, *known])
+        return digest([capture.fingerprint, str(self._longest), self._caster.arrays.key, *known])
 
     @property
     def _file(self) -> Path:
@@ -250,27 +245,19 @@ class ScenePhotoLight:
 
         def read(index: int) -> Frame | None:
             try:
-                return self._small_frame(index)
+                return shrink(self._capture[index], self._longest)
             except InputError as error:  # told in full when it is its turn to be relit
                 _log.info("the photo's light is estimated without frame %d: %s", index, error)
                 return None
 
-        frames = prefetch(read, self._spread, depth=1)  # in order, as videos are read
-        return [frame for frame in frames if frame is not None] or [self._small_frame(0)]
+        chosen = spread(range(len(self._capture)), FRAME_COUNT)
+        frames = prefetch(read, chosen, depth=1)  # in order, as videos are read
+        return [frame for frame in frames if frame is not None] or [shrink(self._capture[0], self._longest)]
 
     @property
-    def _spread(self) -> Sequence[int]:
-        return spread(range(len(self._capture)), FRAME_COUNT)
-
-    def _small_frame(self, index: int) -> Frame:
-        return fit(self._capture[index], self._frame_size(index))
-
-    def _frame_size(self, index: int) -> tuple[int, int]:
-        """Size of a small frame, no larger than it was taken: what is enlarged shows windows that are none."""
-        taken = self._capture.camera(index).intrinsics.shape
-        height, width = self._size or taken
-        share = min(1.0, min(FRAME_WIDTH, max(taken)) / max(height, width))
-        return max(1, round(height * share)), max(1, round(width * share))
+    def _longest(self) -> int:
+        """Longer side of these frames. Smaller ones stay as they are: what is enlarged shows false windows."""
+        return min(FRAME_WIDTH, max(self._size or (FRAME_WIDTH,)))
 
 
 def _content(file: Path | None) -> str:

@@ -89,6 +89,8 @@ class Scene:
             raise InputError(f"{capture.name}: the capture has no frames")
         if np.shape(capture.up) != (3,) or abs(np.linalg.norm(capture.up) - 1.0) > UNIT_TOLERANCE:
             raise InputError(f"{capture.name}: 'up' must be a unit vector of three numbers, got {capture.up!r}")
+        if slack is not None and not 0.0 <= slack < np.inf:
+            raise InputError(f"slack: must be metres, 0 or more, or None for an exact mesh, got {slack!r}")
         self.capture, self.size, self.source, self._sources_file = capture, size, source, photo_sources
         self.caster = RayCaster(mesh)
         self._anchors: dict[bool, LightAnchors] = {}

@@ -29,11 +29,12 @@ LEAST_GAIN = 0.03
 SURFACE_ERROR, LARGEST_ERROR = 0.03, 0.1
 """Least and largest slack of shadows (`hyjax.light.shadow_map.ShadowMap`) of a mesh that is not exact; metres."""
 READINGS_OFF = 3.0
-"""Slack by the median distance between depth readings and mesh: of normal errors 96 % are smaller."""
+"""Slack by the median distance between mesh and readings that it covers: of normal errors 96 % are smaller."""
 SENSOR_DEFAULTS = FusionSettings()
 _log = logging.getLogger(__name__)
 MESH_NAMES = ("captured", "scan", "fused", "true")
 Surface = tuple[str, MeshArrays, float | None]
+"""Name of a mesh, the mesh, and the slack of its shadows; None for an exact one."""
 
 
 def surface_of(
@@ -199,8 +200,7 @@ def _judged(capture: Capture, description: str, mesh: MeshArrays) -> Surface:
 
 
 def _slack(coverage: "Coverage") -> float:
-    known = np.nan_to_num(coverage.distance, nan=0.0)
-    return float(np.clip(READINGS_OFF * known, SURFACE_ERROR, LARGEST_ERROR))
+    return float(np.clip(READINGS_OFF * np.nan_to_num(coverage.error), SURFACE_ERROR, LARGEST_ERROR))
 
 
 def kept(description: str, capture: Capture, make: "Callable[[], trimesh.Trimesh]") -> MeshArrays:

@@ -106,10 +106,9 @@ def usage_error(box: str, command: str = "") -> str:
     rows = [row.strip("│ ") for row in box.splitlines()]
     groups = itertools.groupby(rows[1:], key=_is_rule)  # below the title
     said, *more = [" ".join(texts) for is_rule, texts in groups if not is_rule]
-    option = command.startswith("-")
     line = one_line(said, LONGEST_USAGE_ERROR).rstrip(".")
     if choice := CHOICE_PATTERN.search(said):
-        line += did_you_mean(choice[1], re.findall(r"'(.*?)'", choice[2]))
+        line += did_you_mean(choice[1].lower(), re.findall(r"'(.*?)'", choice[2]))
     for text in more:
         if text.startswith("Perhaps you meant"):
             given, *_ = OPTION_PATTERN.findall(said) or [""]
@@ -117,8 +116,7 @@ def usage_error(box: str, command: str = "") -> str:
             line += f"; perhaps {likest}" if likest != given else ", which other commands have"
         elif text.startswith("Available subcommands"):
             names = text.partition(":")[2].replace(",", " ").split()
-            said = "a command comes first" if option else f"no such command{did_you_mean(command, names)}"
-            return f"{shown(command)}: {said}; there are {', '.join(names)}"
+            return f"{shown(command)}: no such command{did_you_mean(command, names)}; there are {', '.join(names)}"
     return f"{line}; see hyjax {command}{' ' * bool(command)}--help"
 
 

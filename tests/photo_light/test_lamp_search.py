@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
+from reference.listed_frames import ListedFrames
 
 from hyjax.data.capture import Frame
-from hyjax.data.frames import shrink
 from hyjax.data.recording import without_margin
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
@@ -16,7 +16,7 @@ from hyjax.photo_light.glowing_places import glowing_places
 from hyjax.photo_light.lamp_search import blobs_of, is_flat
 from hyjax.photo_light.sightings import sight
 from hyjax.photo_light.source_search import search_sources
-from hyjax.scene.photo_light import FRAME_WIDTH
+from hyjax.scene.scene import Scene
 from hyjax.util.vectors import unit
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -114,5 +114,7 @@ def test_specks_of_a_large_picture_are_not_burnt_out(box: RayCaster) -> None:
     image = np.full((960, 1280, 3), 0.3, np.float32)
     image[2::4, 2::4] = 1.0
     image[400:480, 600:680] = 1.0
-    seen = sight(box, shrink(Frame("large", image, camera, 0.0), FRAME_WIDTH))
+    scene = Scene(ListedFrames([Frame("large", image, camera, 0.0)], UP), box.mesh)
+    (frame,) = scene.photo_light._frames
+    seen = sight(box, frame)
     assert seen.low.shape == (240, 320) and 0.9 * 20**2 <= seen.burnt.sum() <= 1.1 * 21**2

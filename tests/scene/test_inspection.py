@@ -104,8 +104,8 @@ def test_what_is_doubtful(capture: Walk, doubt: str) -> None:
 
 def test_the_command_to_relight_it() -> None:
     assert relight_command(Path("my scan"), Walk()) == "hyjax relight --capture 'my scan'"
-    quick = relight_command(Path("x"), Walk(), quick=True)
-    assert quick == "hyjax relight --capture x --frames 0:6:2"
+    quick = relight_command(Path("MY SCAN"), Walk(), quick=True)
+    assert quick == "hyjax relight --capture 'MY SCAN' --frames 0,2,3,5"
     bare = Walk(depth=False)
     bare.metric = False
     command = relight_command(Path("x"), bare)
@@ -128,7 +128,7 @@ def test_the_command_tells_of_a_real_scan(
     cli.main()
     out, err = capsys.readouterr()
     assert "3D Scanner App" in out and "70 maps of 256x192 (phone LiDAR)" in out and "46 poses" in out
-    assert f"hyjax relight --capture {scanner3d_chair} --frames 0:24:6 --size 640x480\n" in out and not err
+    assert f"hyjax relight --capture {scanner3d_chair} --frames 0,8,15,23 --size 640x480\n" in out and not err
     assert (tmp_path / "out" / "scanner3d_chair-info.png").is_file()
     for wrong in ([str(tmp_path / "none")], [str(scanner3d_chair), "--out", "info"]):
         monkeypatch.setattr("sys.argv", ["hyjax", "info", *wrong])

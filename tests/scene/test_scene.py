@@ -127,6 +127,9 @@ def test_a_capture_that_cannot_be_used_is_refused() -> None:
     for up in (np.zeros(3), np.array([0.0, 1.0]), np.array([0.0, 0.0, 2.0])):
         with pytest.raises(InputError, match=r"^box: 'up' must be a unit vector of three numbers"):
             Scene(Box(up), box())
+    for slack in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(InputError, match=r"^slack: must be metres, 0 or more, or None for an exact mesh"):
+            Scene(Box(), box(), slack=slack)
     with pytest.raises(InputError, match=r"^frame 2: the capture has frames 0 to 1$"):
         Scene(Box(), box()).view(2)
 
