@@ -23,6 +23,8 @@ CELLS = 4
 """Patches along each side of a wall of the box."""
 MARGIN = 0.02
 """Margin of the box around the scan, metres."""
+LEAST_SIDE = 1.0
+"""Least length of a side of the box, metres."""
 CHUNK = 1 << 18
 
 
@@ -82,10 +84,15 @@ def wall_axes(mesh: "trimesh.Trimesh", up: Float[np.ndarray, "3"]) -> Float[np.n
 
 
 def enclose(caster: RayCaster, up: Float[np.ndarray, "3"]) -> Box:
-    """Box of a scan: turned about `up` so that most of the surface is parallel to its walls."""
+    """Box of a scan: turned about `up` so that most of the surface is parallel to its walls.
+
+    A flat or narrow scan has a box of `LEAST_SIDE` above and around it: closer, light could take any form on it.
+    """
     axes = wall_axes(caster.mesh, up)
     local = np.asarray(caster.mesh.vertices) @ axes.T
-    return Box(axes, np.quantile(local, 0.002, axis=0) - MARGIN, np.quantile(local, 0.998, axis=0) + MARGIN)
+    low, high = np.quantile(local, 0.002, axis=0) - MARGIN, np.quantile(local, 0.998, axis=0) + MARGIN
+    lacking = np.maximum(LEAST_SIDE - (high - low), 0.0)
+    return Box(axes, low - lacking * [0.5, 0.5, 0.0], high + lacking * [0.5, 0.5, 1.0])
 
 
 def cosine_directions(count: int) -> Float[np.ndarray, "n 3"]:

@@ -39,7 +39,7 @@ FRAME_WIDTH = 640
 """Largest longer side of these frames, in pixels. Larger ones are shrunk to it: found sources differ by size."""
 PANE_FRAMES, PANE_WIDTH = 12, 320
 """Number of frames for the means of panes, and their longer side in pixels."""
-VERSION = 24
+VERSION = 25
 """Version of sources and estimate. Add one when either changes."""
 _log = logging.getLogger(__name__)
 _Stored = tuple[Estimate, Float[np.ndarray, "n 3"]]

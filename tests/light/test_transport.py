@@ -85,6 +85,13 @@ def test_the_box_round_a_scan_lies_along_its_walls(turn: float) -> None:
     assert (np.einsum("nk,nk->n", middle - centres, normals) > 0).all()
 
 
+def test_a_flat_scan_has_a_box_that_stands_off_it() -> None:
+    """Closer, the light of the box could take the form of any paint."""
+    box = enclose(RayCaster(trimesh.creation.box((1.2, 0.6, 0.1))), UP)
+    low, high = np.sort([box.low @ box.axes, box.high @ box.axes], axis=0)
+    np.testing.assert_allclose([low, high], [[-0.62, -0.5, -0.07], [0.62, 0.5, 0.93]], atol=1e-6)
+
+
 def test_what_leaves_through_an_opening_sends_nothing_back() -> None:
     mesh = room()
     open_wall = trimesh.Trimesh(
