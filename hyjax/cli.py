@@ -79,7 +79,9 @@ def parse() -> Any:
     )
 
     arguments = _renamed(sys.argv[1:])
-    if arguments and arguments[0].startswith("-") and not arguments[0].startswith(("-h", "--help", "--tyro")):
+    if not arguments:
+        raise InputError("give a command, as in hyjax relight; see hyjax --help")
+    if arguments[0].startswith("-") and not arguments[0].startswith(("-h", "--help", "--tyro")):
         raise InputError(f"{arguments[0]}: a command comes first, as in hyjax relight; see hyjax --help")
     if len(arguments) > 1 and arguments[0] in WITH_CAPTURE and not arguments[1].startswith("-"):
         raise InputError(f"{arguments[1]}: is no option; a capture is given as --capture {arguments[1]}")

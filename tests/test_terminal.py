@@ -132,6 +132,7 @@ def test_help_beside_a_long_argument_comes_once(
             "'relite': no such command (did you mean 'relight'?); there are relight, tune, sweep, train, tour, "
             "export, serve, convert, info",
         ),
+        ([], "give a command, as in hyjax relight; see hyjax --help"),
         (["--lights", "night"], "--lights: a command comes first, as in hyjax relight; see hyjax --help"),
         (
             ["export", "--to", "webb"],

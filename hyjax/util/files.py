@@ -237,7 +237,8 @@ def make_writable(out: Path) -> None:
             pass
         remove_stale(out)
     except OSError as error:
-        raise InputError(f"{out}: cannot write there ({error.strerror}); choose another --out") from None
+        reason = "it is a file, not a folder" if out.is_file() else error.strerror
+        raise InputError(f"{out}: cannot write there ({reason}); choose another --out") from None
 
 
 def digest(parts: Iterable[str]) -> str:
