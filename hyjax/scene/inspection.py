@@ -262,11 +262,11 @@ def relight_command(path: Path | None, capture: Capture, *, scale: float | None 
         words += ["--scale", "METRES_IN_ONE_UNIT"]
     if not capture.depth_count and not capture.has_mesh:
         words += ["--mesh", "FILE"]
-    count, (height, width) = len(capture), capture.camera(0).intrinsics.shape
-    if quick and count > QUICK_COUNT:
-        words += ["--frames", ",".join(map(str, spread(range(count), QUICK_COUNT)))]
-    if quick and (share := QUICK_SIDE / max(height, width)) < 1.0:
-        words += ["--size", f"{round(share * width)}x{round(share * height)}"]
+    if quick and len(capture) > QUICK_COUNT:
+        words += ["--frames", ",".join(map(str, spread(range(len(capture)), QUICK_COUNT)))]
+    if quick and max(shape := capture.camera(0).intrinsics.shape) > QUICK_SIDE:
+        height, width = (round(QUICK_SIDE * side / max(shape)) for side in shape)
+        words += ["--size", f"{width}x{height}"]
     return " ".join(words)
 
 

@@ -108,7 +108,7 @@ def test_a_wall_that_is_merely_burnt_out_is_no_window(box: RayCaster) -> None:
 
 
 def test_specks_of_a_large_picture_are_not_burnt_out(box: RayCaster) -> None:
-    """As they are not where it was made smaller before."""
+    """Large pictures are shrunk before they are searched."""
     small = picture(EYES[0], LAMP)
     camera = Camera(small.camera.intrinsics.resize(960, 1280), small.camera.pose)
     image = np.full((960, 1280, 3), 0.3, np.float32)

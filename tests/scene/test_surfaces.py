@@ -224,6 +224,13 @@ def test_fusing_a_wall_gives_the_wall(cache: Path) -> None:
     assert same(mesh, get(Wall(), fusion=FusionSettings(voxel=0.05)))
 
 
+def slack_by(capture: Wall, folder: Path) -> float | None:
+    """Slack of a file's mesh that is the wall."""
+    place = trimesh.transformations.translation_matrix((2.1, 0.0, 0.0))
+    save_mesh(folder / "wall.ply", trimesh.creation.box((0.2, 8.0, 8.0), place))
+    return surface_arrays(capture, str(folder / "wall.ply"), progress=False)[2]
+
+
 @pytest.mark.parametrize(
     "error, least, most",
     [(0.0, SURFACE_ERROR, SURFACE_ERROR), (0.03, 0.05, 0.07), (0.3, LARGEST_ERROR, LARGEST_ERROR)],
@@ -235,29 +242,22 @@ def test_the_slack_of_shadows_is_by_how_far_mesh_and_readings_lie_apart(
     depth = wall.frames[0].depth  # of all of them
     assert depth is not None
     depth += pick.normal(0.0, error, depth.shape).astype(np.float32)
-    save_mesh(
-        tmp_path / "wall.ply", trimesh.creation.box((0.2, 8.0, 8.0), np.diag([1.0] * 4) + np.eye(4, k=3) * 2.1)
-    )
-    _, _, slack = surface_arrays(wall, str(tmp_path / "wall.ply"), progress=False)
+    slack = slack_by(wall, tmp_path)
     assert slack is not None and least <= slack <= most
 
 
 def test_what_was_not_scanned_adds_no_slack(cache: Path, tmp_path: Path) -> None:
     wall = Wall()
     wall.frames[0].depth[:, :21] = 1.4  # type: ignore[index]  # a cupboard, of all frames
-    save_mesh(
-        tmp_path / "wall.ply", trimesh.creation.box((0.2, 8.0, 8.0), np.diag([1.0] * 4) + np.eye(4, k=3) * 2.1)
-    )
-    assert surface_arrays(wall, str(tmp_path / "wall.ply"), progress=False)[2] == SURFACE_ERROR
+    assert slack_by(wall, tmp_path) == SURFACE_ERROR
 
 
 def test_a_true_mesh_has_no_slack_and_what_nobody_can_judge_the_least(room: RoomCapture, tmp_path: Path) -> None:
     assert surface_arrays(room, "true", progress=False)[2] is None
-    save_mesh(tmp_path / "ball.ply", trimesh.creation.icosphere(1))
-    assert surface_arrays(Wall(depth=False), str(tmp_path / "ball.ply"), progress=False)[2] == SURFACE_ERROR
+    assert slack_by(Wall(depth=False), tmp_path) == SURFACE_ERROR
     away = Wall()
     away.frames[0].depth[...] = 0.0  # type: ignore[index]
-    assert surface_arrays(away, str(tmp_path / "ball.ply"), progress=False)[2] == SURFACE_ERROR
+    assert slack_by(away, tmp_path) == SURFACE_ERROR
 
 
 def test_a_device_mesh_in_other_units_is_replaced_by_the_fusion_but_not_when_strict(
