@@ -7,7 +7,30 @@ only where the values are known). Cameras, meshes and ray casting are in
 Names are loaded when they are first asked for; `__init__.pyi` says from where.
 """
 
+import os
+from importlib.util import find_spec
+from pathlib import Path
+
 import lazy_loader
 
+_SUM_OPTION = "--xla_cpu_experimental_ynn_fusion_type"
+
+
+def _avoid_wrong_sums() -> None:
+    """Have XLA sum by its own code where jaxlib is 0.10.2 or 0.11.
+
+    There sums by YNNPACK on a processor with several cores are wrong at times, without a word, as
+    `jnp.mean(x, where=mask)` in a jitted function. Sources: jax-ml/jax#39103, tensorflow/tensorflow#126812. XLA
+    reads the variable with its first program.
+    """
+    found, flags = find_spec("jaxlib"), os.environ.get("XLA_FLAGS", "")
+    if found is None or found.origin is None or _SUM_OPTION in flags:
+        return
+    releases = Path(found.origin).parents[1].glob("jaxlib-*.dist-info")
+    if any(path.name.startswith(("jaxlib-0.10.2.", "jaxlib-0.11.")) for path in releases):
+        os.environ["XLA_FLAGS"] = f"{flags} {_SUM_OPTION}=-reduce".strip()
+
+
+_avoid_wrong_sums()
 __version__ = "0.2.0"
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
