@@ -320,7 +320,7 @@ RUNNERS: dict[type[Any], Callable[[Any], None]] = {
 """Function of each command, by its settings."""
 DRAWING = (RelightSettings, TuneSettings, TourSettings, ExportSettings)
 """Settings of the commands that draw surfaces in their own process."""
-KERNELS = ("hyjax.geometry.raster_kernels", "hyjax.geometry.surface_kernel")
+KERNELS = tuple(f"hyjax.geometry.{name}" for name in ("fusion_kernel", "raster_kernels", "surface_kernel"))
 """Modules of compiled functions, in the order in which they are used."""
 
 

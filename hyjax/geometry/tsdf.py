@@ -35,8 +35,7 @@ from hyjax.util.progress import StepBar
 
 _log = logging.getLogger(__name__)
 BLOCK_SIDE = 8
-CHUNK = 64  # blocks updated at once: arrays of 128 KiB, which stay in the cache
-NO_READING = -1e6  # in place of a depth: every voxel is then far behind the surface, hence not updated
+CHUNK = 1024  # blocks that a thread takes at once
 MAX_BLOCKS = 1 << 20  # 4 GiB of voxels
 MAX_CANDIDATES = 8_000_000  # blocks in the box around one view
 SAVE_INTERVAL = 30.0
@@ -135,7 +134,6 @@ class Volume:
         self._slots = np.zeros(0, dtype=np.int64)  # where in the pool the block of each key is
         self._sums = np.zeros((0, BLOCK_SIDE**3), dtype=np.float32)
         self._weights = np.zeros((0, BLOCK_SIDE**3), dtype=np.float32)
-        self._local = np.indices((BLOCK_SIDE,) * 3).reshape(3, -1).T * voxel
 
     def arrays(self) -> dict[str, np.ndarray]:
         """All that it holds, for `of_arrays`."""
@@ -178,48 +176,27 @@ class Volume:
         weight = view_cosine(depth, camera) / np.maximum(depth, 0.5) ** 2
         if confidence is not None:
             weight *= np.square(confidence, dtype=np.float32)
-        reading = np.where(depth > 0, depth, np.float32(NO_READING))
-        # A rim of "no reading" takes the voxels that project outside the picture.
-        padded = np.pad(reading, 1, constant_values=NO_READING), np.pad(weight, 1)
         coordinates = _blocks_in_view(depth, camera, self.voxel * BLOCK_SIDE, self.truncation)
         slots = self._slots_of(voxel_keys(coordinates))
         chunks = [slice(start, start + CHUNK) for start in range(0, len(slots), CHUNK)]
         # Chunks are disjoint, so the result does not depend on how the threads take turns.
-        list(pool.map(lambda part: self._update(coordinates[part], slots[part], *padded, camera), chunks))
+        list(pool.map(lambda part: self._update(coordinates[part], slots[part], depth, weight, camera), chunks))
 
     def _update(
         self,
         coordinates: Int[np.ndarray, "n 3"],
         slots: Int[np.ndarray, "n"],
-        reading: Float[np.ndarray, "hp wp"],
-        weight: Float[np.ndarray, "hp wp"],
+        depth: Float[np.ndarray, "h w"],
+        weight: Float[np.ndarray, "h w"],
         camera: Camera,
     ) -> None:
-        project = camera.intrinsics.matrix @ camera.pose[:3, :3].T
-        corner = (coordinates * (self.voxel * BLOCK_SIDE) - camera.origin) @ project.T
-        step = self._local @ project.T
-        # Homogeneous pixel coordinates; their third component is the voxel's depth.
-        x, y, z = (corner[:, i, None].astype(np.float32) + step[None, :, i].astype(np.float32) for i in range(3))
-        height, width = reading.shape
-        with np.errstate(divide="ignore", invalid="ignore"):
-            x /= z
-            y /= z
-        x[z < NEAR_LIMIT] = y[z < NEAR_LIMIT] = -1.0
-        # Pixel j covers [j, j+1], which is column j+1 with the rim; beyond the picture lands on the rim.
-        column = np.clip(x + 1.0, 0.0, width - 1).astype(np.int32)
-        row = np.clip(y + 1.0, 0.0, height - 1).astype(np.int32)
-        row *= width
-        row += column
-        distance = reading.take(row)
-        distance -= z
-        # Behind the surface confidence fades from one voxel on, so that it does not eat a thin wall's far side.
-        fade = (distance + np.float32(self.truncation)) * np.float32(1.0 / (self.truncation - self.voxel))
-        vote = weight.take(row)
-        vote *= np.clip(fade, 0.0, 1.0, out=fade)
-        np.clip(distance, -self.truncation, self.truncation, out=distance)
-        distance *= vote
-        self._sums[slots] += distance
-        self._weights[slots] += vote
+        from hyjax.geometry.fusion_kernel import add_votes  # compiled when first used
+
+        turned = camera.pose[:3, :3].T
+        project = camera.intrinsics.matrix @ np.column_stack([turned, -turned @ camera.origin])
+        weight = np.ascontiguousarray(weight, np.float32)
+        sizes = self.voxel, self.truncation, NEAR_LIMIT
+        add_votes(coordinates, slots, depth, weight, project, *sizes, self._sums, self._weights)
 
     def _slots_of(self, keys: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
         """Pool rows of blocks; blocks not yet there are added."""

@@ -1,6 +1,7 @@
 """Fusion against surfaces whose equation is known, and on the kitchen."""
 
 import resource
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.depth_map import clean_depth, view_cosine
 from hyjax.geometry.mesh import degenerate_faces, load_mesh, save_mesh
 from hyjax.geometry.raycast import RayCaster
-from hyjax.geometry.tsdf import Volume, fuse
+from hyjax.geometry.tsdf import BLOCK_SIDE, Volume, fuse
 from hyjax.util.errors import InputError
+from tests.reference.votes import votes
 
 K = Intrinsics(160, 120, 140.0, 140.0, 80.0, 60.0)
 RADIUS, CENTRE = 0.5, np.array([0.31, -0.17, 2.03])
@@ -187,8 +189,6 @@ def test_frames_without_depth_or_surface(views: list[View]) -> None:
 
 def test_all_surface_blocks_are_found(views: list[View]) -> None:
     """Culling by coarse maxima must not lose a block that holds a surface point."""
-    from concurrent.futures import ThreadPoolExecutor
-
     depth, camera = views[5]
     volume = Volume(0.02, 0.08)
     with ThreadPoolExecutor(1) as pool:
@@ -198,6 +198,24 @@ def test_all_surface_blocks_are_found(views: list[View]) -> None:
     needed = set(map(tuple, np.floor(points / (8 * 0.02)).astype(int).tolist()))
     assert len(needed) > 20
     assert needed <= allocated
+
+
+@pytest.mark.parametrize("number", [0, 5, 30])
+def test_votes_are_those_of_plain_numpy(views: list[View], number: int) -> None:
+    depth, camera = views[number]
+    volume, voxel, truncation = Volume(0.03, 0.12), 0.03, 0.12
+    with ThreadPoolExecutor(2) as pool:
+        volume.integrate(depth, camera, 4.0, pool, np.full(depth.shape, 0.5))
+    coordinates, mean, weights = volume.blocks()
+    cells = np.indices((BLOCK_SIDE,) * 3).reshape(3, -1).T
+    places = voxel * (BLOCK_SIDE * coordinates[:, None] + cells).reshape(-1, 3)
+    clean = clean_depth(depth, camera, 4.0)
+    own = 0.25 * view_cosine(clean, camera) / np.maximum(clean, 0.5) ** 2
+    sums, expected = votes(places, clean, own, camera, voxel, truncation)
+    close = np.isclose(weights.ravel(), expected, atol=1e-5)
+    assert close.mean() > 0.9999 and (expected > 0).sum() > 1000  # one on a pixel's border may fall either way
+    known = close & (expected > 1e-3)
+    np.testing.assert_allclose(mean.ravel()[known], sums[known] / expected[known] / truncation, atol=1e-3)
 
 
 def agreement(mesh: trimesh.Trimesh, depth: np.ndarray, camera: Camera) -> tuple[float, float]:
