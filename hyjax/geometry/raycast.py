@@ -142,6 +142,16 @@ class RayCaster:
         ]
         return {key: np.concatenate([part[key] for part in parts]) for key in ("tfar", "primID", "u", "v")}
 
+    def nearest_faces(
+        self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n r 3"]
+    ) -> Int[np.ndarray, "n r"]:
+        """Triangle that each ray from a point hits first, -1 for none; one in millions may slip through."""
+        starts = np.repeat((origins - self._centre).astype(np.float32), directions.shape[1], axis=0)
+        rays = np.ascontiguousarray(directions.reshape(-1, 3), np.float32)
+        parts = [slice(k, k + RAYS_AT_ONCE) for k in range(0, max(len(rays), 1), RAYS_AT_ONCE)]
+        found = np.concatenate([self._scene.run(starts[part], rays[part]) for part in parts])
+        return found.reshape(directions.shape[:2])
+
     @checked_arguments
     def occluded(
         self,

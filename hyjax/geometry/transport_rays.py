@@ -1,5 +1,6 @@
 """Casting the rays of light transport, on the host: once a scan."""
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -9,8 +10,9 @@ from jaxtyping import Bool, Float, Int
 
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Aperture
+from hyjax.util.prefetch import prefetch
 from hyjax.util.progress import StepBar
-from hyjax.util.vectors import orthonormal_frame
+from hyjax.util.vectors import fibonacci_disc, orthonormal_frame
 
 if TYPE_CHECKING:
     import trimesh
@@ -54,21 +56,22 @@ class Box:
                 normals.append(np.broadcast_to((1 - 2 * side) * self.axes[axis], (CELLS**2, 3)))
         return np.concatenate(centres), np.concatenate(normals)
 
-    def exits(
+    def exit_patches(
         self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
-    ) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """Exits of rays from inside: distance, and the patch there."""
-        o, d = origins @ self.axes.T, directions @ self.axes.T
+    ) -> Int[np.ndarray, "n"]:
+        """Patches at which rays from inside leave."""
+        kind = directions.dtype
+        o = (self.axes @ origins.T - self.low[:, None]).astype(kind)  # components in rows: a pass each
+        d, size = self.axes.astype(kind) @ directions.T, (self.high - self.low).astype(kind)
         with np.errstate(divide="ignore", invalid="ignore"):
-            far = np.where(d > 0, (self.high - o) / d, np.where(d < 0, (self.low - o) / d, np.inf))
-        far = np.maximum(far, 0.0)
-        axis = np.argmin(far, axis=1)
-        n = np.arange(len(o))
-        distance = far[n, axis]
-        place = (o + distance[:, None] * d - self.low) / (self.high - self.low)
-        cell = np.clip((place * CELLS).astype(int), 0, CELLS - 1)
-        wall = 2 * axis + (d[n, axis] > 0)
-        return distance, (wall * CELLS + cell[n, (axis + 1) % 3]) * CELLS + cell[n, (axis + 2) % 3]
+            far = (np.where(d > 0, size[:, None], 0.0) - o) / d
+        far[d == 0] = np.inf
+        distance = np.maximum(np.minimum(np.minimum(far[0], far[1]), far[2]), 0.0)
+        axis = np.where(far[0] <= distance, 0, np.where(far[1] <= distance, 1, 2))
+        place = (o + distance * d) * (CELLS / size[:, None])
+        cell = np.minimum(np.maximum(place, 0.0).astype(np.int16), CELLS - 1)
+        by_axis = [((2 * k + (d[k] > 0)) * CELLS + cell[(k + 1) % 3]) * CELLS + cell[(k + 2) % 3] for k in range(3)]
+        return np.choose(axis, by_axis)
 
 
 def wall_axes(mesh: "trimesh.Trimesh", up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
@@ -97,9 +100,8 @@ def enclose(caster: RayCaster, up: Float[np.ndarray, "3"]) -> Box:
 
 def cosine_directions(count: int) -> Float[np.ndarray, "n 3"]:
     """Cosine-distributed directions about +z (Malley's method on a Fibonacci disc)."""
-    k = np.arange(count)
-    radius, angle = np.sqrt((k + 0.5) / count), k * np.pi * (3.0 - np.sqrt(5.0))
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - radius**2)], axis=-1)
+    disc = fibonacci_disc(count)
+    return np.column_stack([disc, np.sqrt(1.0 - np.sum(disc**2, axis=1))])
 
 
 def trace(
@@ -124,30 +126,33 @@ def trace(
     usable = np.isfinite(own).all(axis=1) & (np.linalg.norm(own, axis=1) > 0.5)
     normal = np.concatenate([np.where(usable[:, None], own, [0.0, 0.0, 1.0]), inward])
     rays = int(np.clip(MOST_RAYS_IN_ALL // len(position), min(rays, FEWEST_RAYS), rays))
-    lobe = cosine_directions(rays)
+    lobe = cosine_directions(rays).astype(np.float32)
     rng = np.random.default_rng(seed)
     turns = rng.uniform(0, 2 * np.pi, len(position))
-    frames = orthonormal_frame(normal)
+    # Frames turned about their normals, and rays of single precision, as Embree has them.
+    x, y, z = np.moveaxis(orthonormal_frame(normal), 1, 0)
+    c, s = np.cos(turns)[:, None], np.sin(turns)[:, None]
+    frames = np.stack([c * x + s * y, c * y - s * x, z], axis=1).astype(np.float32)
+    start = position + OFFSET * normal
     count = len(mesh.faces)
     hits = np.empty((rays, len(position)), np.int32)
     step = max(1, CHUNK // rays)
-    for a in StepBar(range(0, len(position), step), "light transport", disable=not progress, unit="block"):
-        part = slice(a, min(a + step, len(position)))
-        c, s = np.cos(turns[part]), np.sin(turns[part])
-        x = lobe[:, 0, None] * c - lobe[:, 1, None] * s
-        y = lobe[:, 0, None] * s + lobe[:, 1, None] * c
-        f = frames[part]
-        d = x[..., None] * f[:, 0] + y[..., None] * f[:, 1] + lobe[:, 2, None, None] * f[:, 2]
-        o = np.broadcast_to(position[part] + OFFSET * normal[part], d.shape)
-        flat, starts = d.reshape(-1, 3), o.reshape(-1, 3)
-        found = caster.cast(starts, flat)
-        end = found.face.astype(np.int32)
+
+    def ends(first: int) -> None:
+        part = slice(first, first + step)
+        directions = lobe @ frames[part]
+        end = caster.nearest_faces(start[part], directions).reshape(-1)
         missed = np.flatnonzero(end < 0)
-        _, patch = box.exits(starts[missed], flat[missed])
-        end[missed] = count + patch
+        starts, directions = start[part][missed // rays], directions.reshape(-1, 3)[missed]
+        end[missed] = count + box.exit_patches(starts, directions)
         for window in windows:
-            end[missed[through(window, starts[missed], flat[missed])]] = count + len(centres)
-        hits[:, part] = end.reshape(rays, -1)
+            end[missed[through(window, starts, directions)]] = count + len(centres)
+        hits[:, part] = end.reshape(-1, rays).T
+
+    blocks = range(0, len(position), step)
+    with contextlib.closing(prefetch(ends, blocks, threads=2)) as done:  # Embree and NumPy in turns
+        for _ in StepBar(done, "light transport", total=len(blocks), disable=not progress, unit="block"):
+            pass
     return hits, position, normal
 
 

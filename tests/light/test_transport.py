@@ -92,6 +92,32 @@ def test_a_flat_scan_has_a_box_that_stands_off_it() -> None:
     np.testing.assert_allclose([low, high], [[-0.62, -0.5, -0.07], [0.62, 0.5, 0.93]], atol=1e-6)
 
 
+@given(st.integers(0, 2**32 - 1))
+def test_rays_leave_the_box_on_the_patch_that_they_are_told_to(seed: int) -> None:
+    rng, axis = np.random.default_rng(seed), np.eye(3)
+    box = enclose(RayCaster(room(0.4)), UP)
+    inside = (box.low + rng.random((40, 3)) * (box.high - box.low)) @ box.axes
+    directions = np.concatenate([rng.normal(size=(34, 3)), axis @ box.axes, -axis @ box.axes])
+    found = box.exit_patches(inside, directions.astype(np.float32))
+    start, way = inside @ box.axes.T, directions @ box.axes.T
+    with np.errstate(divide="ignore"):
+        distance = np.where(way > 0, (box.high - start) / way, (box.low - start) / way)
+    distance[np.abs(way) < 1e-9] = np.inf
+    leaves = start + distance.min(axis=1, keepdims=True) * way
+    half = 0.5 * (box.high - box.low) / CELLS + 1e-3
+    centres, normals = box.patches()
+    apart = np.abs(leaves - centres[found] @ box.axes.T)
+    assert (np.where(np.abs(normals[found] @ box.axes.T) > 0.5, apart < 1e-4, apart < half)).all()
+
+
+def test_many_rays_end_where_single_ones_do() -> None:
+    caster, rng = RayCaster(room()), np.random.default_rng(0)
+    origins, directions = rng.uniform(-1, 1, (7, 3)), rng.normal(size=(7, 20_000, 3))
+    found = caster.nearest_faces(origins, directions.astype(np.float32))
+    single = [caster.cast(origin, rays.astype(np.float32)).face for origin, rays in zip(origins, directions)]
+    assert (found == np.stack(single)).mean() > 0.99999 and (found >= 0).mean() > 0.9999
+
+
 def test_what_leaves_through_an_opening_sends_nothing_back() -> None:
     mesh = room()
     open_wall = trimesh.Trimesh(
