@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import jax.numpy as jnp
 import numpy as np
@@ -83,19 +84,20 @@ def fit_and_judge(
     if counts.min() < LEAST_PAIRS:
         return None
     bright, hue = np.zeros((2, len(pairs), len(EXPONENTS)))
+    pool = ThreadPoolExecutor(1, thread_name_prefix="fit")
+    whole = pool.submit(fit_sources, problem(np.ones(len(pairs), bool)))  # beside those that judge
+    pool.shutdown(wait=False)
     for number in range(FOLD_COUNT):
         part = problem(fold != number)
-        light = np.log(
-            np.asarray(illuminance(part, jnp.asarray(fit_sources(part, FOLD_ITERATIONS), jnp.float32)))
-            + RADIANCE_FLOOR
-        )
-        logs = zip(split(np.log(np.asarray(part.radiance))), split(light))
+        theta = jnp.asarray(fit_sources(part, FOLD_ITERATIONS), jnp.float32)
+        light = np.log(np.asarray(illuminance(part, theta)).T + RADIANCE_FLOOR)
+        logs = zip(split(np.asarray(part.log_radiance).T), split(light))
         for left, (radiance, e) in zip((bright, hue), logs):
             left[fold == number] = differences(radiance, e, pairs[fold == number]).mean(axis=2)
     block = blocks(position[pairs[:, 0]], ERROR_SIDE)
     found, error = flatness(bright, block)
     belief = Belief(best(found, error), best(*flatness(hue, block)), tuple(float(x) for x in found))
-    return fit_sources(problem(np.ones(len(pairs), bool))), belief, bright
+    return whole.result().T, belief, bright
 
 
 def blocks(position: Float[np.ndarray, "n 3"], side: float) -> Int[np.ndarray, "n"]:

@@ -222,9 +222,10 @@ def _fitted(
     if not shown.visible.any() or shown.contrast <= LEAST_CONTRAST:
         return nothing
     pairs = coplanar_pairs(vertices, normal, shown.visible, PAIR_COUNT)
-    pairs = pairs[_one_hue(np.log(shown.radiance), pairs)]
-    known = (gathered, basis.light[:count], shown.radiance)
-    gathered_here, light, radiance = (jnp.asarray(a, jnp.float32) for a in known)
+    log_radiance = np.log(shown.radiance)
+    pairs = pairs[_one_hue(log_radiance, pairs)]
+    known = (gathered, basis.light[:count], log_radiance)
+    gathered_here, light, radiance = (jax.device_put(np.ascontiguousarray(a.T, np.float32)) for a in known)
     seen, alike = jnp.asarray(shown.visible), jnp.asarray(basis.neighbours, jnp.int32)
     chosen = jnp.asarray(pairs, jnp.int32)
 

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 
 from hyjax.geometry.mesh_arrays import MeshArrays, edges_of
 from hyjax.photo_light.belief import EXPONENTS, Belief
+from hyjax.util.cores import cores
 
 REACH = 0.4
 """Deviation, in metres, of the weight of a pair around each of its ends."""
@@ -70,7 +71,8 @@ def local_exponents(
     from scipy.spatial import cKDTree  # SciPy is slow to load
 
     places = np.concatenate([vertices / REACH, normals / NORMAL_REACH], axis=1)
-    distance, end = cKDTree(places[pairs.T.ravel()]).query(places, k=NEAREST, distance_upper_bound=3.0)
+    ends = cKDTree(places[pairs.T.ravel()])
+    distance, end = ends.query(places, k=NEAREST, distance_upper_bound=3.0, workers=cores())
     weight = np.where(np.isfinite(distance), np.exp(-0.5 * np.minimum(distance, 9.0) ** 2), 0.0)
     own = np.concatenate([errors, errors, np.zeros((1, errors.shape[1]))])[end]
     total = np.einsum("vn,vnk->vk", weight, own)

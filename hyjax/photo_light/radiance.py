@@ -63,8 +63,8 @@ def vertex_radiance(caster: RayCaster, frames: Iterable[Frame]) -> VertexRadianc
     gains = _exposures(seen, count)
     total, weight = np.zeros((count, 3)), np.zeros(count)
     for gain, (index, color, share) in zip(gains, seen, strict=True):
-        np.add.at(total, index, color / gain * share[:, None])
-        np.add.at(weight, index, share)
+        total[index] += color / gain * share[:, None]  # a vertex is in a frame once
+        weight[index] += share
     return VertexRadiance(total / np.maximum(weight, 1e-12)[:, None], weight, gains)
 
 

@@ -74,12 +74,10 @@ class Lit:
         gathered = gather(self.transport.hits, send(self.transport, jnp.asarray(sent, jnp.float32)))
         seen = np.ones(self.count, bool)
         pairs = coplanar_pairs(self.position[: self.count], self.normal[: self.count], seen, 6000)
-        floats = (self.basis.light[: self.count], radiance)
-        basis, c = (jnp.asarray(a, jnp.float32) for a in floats)
+        floats = (gathered[: self.count], self.basis.light[: self.count], np.log(radiance))
+        light, basis, c = (jnp.asarray(a, jnp.float32).T for a in floats)
         alike, chosen = (jnp.asarray(a, jnp.int32) for a in (self.basis.neighbours, pairs))
-        return FitProblem(
-            gathered[: self.count], basis, c, jnp.asarray(seen), chosen, jnp.ones(len(pairs), bool), alike
-        )
+        return FitProblem(light, basis, c, jnp.asarray(seen), chosen, jnp.ones(len(pairs), bool), alike)
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +92,7 @@ def spread(log: np.ndarray) -> float:
 
 def test_the_light_of_a_known_room_is_found(lit: Lit) -> None:
     problem = lit.problem()
-    found = np.asarray(illuminance(problem, jnp.asarray(fit_sources(problem), jnp.float32)))
+    found = np.asarray(illuminance(problem, jnp.asarray(fit_sources(problem), jnp.float32))).T
     true = lit.light[: lit.count]
     assert spread(np.log(found / true)) < 0.3 * spread(np.log(true))
     assert spread(np.log(found / true)) < 0.08
@@ -123,7 +121,7 @@ def test_the_gradient_of_the_fit_is_that_of_finite_differences(lit: Lit) -> None
         double = jax.tree.map(
             lambda x: jnp.asarray(x, jnp.float64) if jnp.issubdtype(x.dtype, jnp.floating) else x, problem
         )
-        start, way = (jnp.asarray(rng.normal(size=(problem.basis.shape[1], 3))) for _ in range(2))
+        start, way = (jnp.asarray(rng.normal(size=(3, len(problem.basis)))) for _ in range(2))
         slope = jnp.sum(jax.grad(loss)(start, double) * way)
         step = 1e-6
         numeric = (loss(start + step * way, double) - loss(start - step * way, double)) / (2 * step)
@@ -136,7 +134,7 @@ def test_the_high_quantile_is_numpys(count: int, seed: int) -> None:
     values = rng.integers(0, 9, (count, 3)) + rng.choice([0.0, 0.25], (count, 3))  # with ties
     chosen = rng.random(count) < rng.choice([0.1, 0.6, 1.0])
     chosen[rng.integers(count)] = True
-    found = high_quantile(jnp.asarray(values, jnp.float32), jnp.asarray(chosen), 0.95)
+    found = high_quantile(jnp.asarray(values.T, jnp.float32), jnp.asarray(chosen), 0.95)
     np.testing.assert_allclose(found, np.quantile(values[chosen], 0.95, axis=0), atol=1e-5)
 
 
