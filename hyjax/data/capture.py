@@ -122,6 +122,11 @@ class Capture(abc.ABC):
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))
 
+    @property
+    def picture_source(self) -> "Capture":
+        """Capture with the same pictures, maybe by other cameras: itself, but for one that only moves them."""
+        return self
+
     def camera(self, index: int) -> Camera:
         """Camera of the frame at a position; formats that need no picture for it read none."""
         return self[index].camera

@@ -7,12 +7,14 @@ from typing import TypeVar
 import jax.numpy as jnp
 import numpy as np
 
-from hyjax.data.capture import Frame
+from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.light.color import to_display, to_linear
 from hyjax.util.errors import InputError
 from hyjax.util.images import resize
 
+SMALL_WIDTH = 640
+"""Largest longer side of a small frame, in pixels."""
 T = TypeVar("T")
 
 
@@ -60,6 +62,22 @@ def shrink(frame: Frame, longest: int) -> Frame:
     height, width = frame.camera.intrinsics.shape
     share = min(1.0, longest / max(height, width))
     return fit(frame, (max(1, round(height * share)), max(1, round(width * share))))
+
+
+def small_frame(capture: Capture, index: int, *, keep: bool = False) -> Frame:
+    """Frame of a capture without its depth, its longer side at most `SMALL_WIDTH` pixels.
+
+    Args:
+        keep: whether its picture stays in memory until it is asked for once more.
+    """
+    source = capture.picture_source
+    kept: dict[int, Frame] = source.__dict__.setdefault("_small_frames", {})
+    frame = kept.pop(index, None) or shrink(source[index], SMALL_WIDTH)
+    if keep:
+        kept[index] = frame
+    if source is capture:
+        return frame
+    return dataclasses.replace(frame, camera=fit_camera(capture.camera(index), frame.camera.intrinsics.shape))
 
 
 def select_frames(text: str, count: int) -> list[int]:

@@ -27,16 +27,32 @@ class PosedPicture(NamedTuple):
     Attributes:
         fine: fine structure of its grey values, see `fine_structure`.
         reading: depth map; its camera has the pose of the picture's.
+        depth: of the map where it is that of a single surface and near enough, see `clean_depth`; else 0.
     """
 
     fine: Float[np.ndarray, "h w"]
     camera: Camera
     reading: DepthReading
+    depth: Float[np.ndarray, "dh dw"]
 
     def moved(self, pose: Float[np.ndarray, "4 4"]) -> "PosedPicture":
         """The same with another pose."""
         reading = self.reading._replace(camera=Camera(self.reading.camera.intrinsics, pose))
         return self._replace(camera=Camera(self.camera.intrinsics, pose), reading=reading)
+
+
+def posed_picture(
+    image: Float[np.ndarray, "h w 3"], camera: Camera, reading: DepthReading, far: float
+) -> PosedPicture:
+    """Picture with the depth map of its moment.
+
+    Args:
+        far: metres beyond which no reading counts.
+    """
+    depth = clean_depth(reading.depth, reading.camera, far)
+    if reading.confidence is not None:
+        depth[reading.confidence <= 0] = 0.0
+    return PosedPicture(fine_structure(image), camera, reading, depth)
 
 
 def fine_structure(image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
@@ -48,17 +64,13 @@ def fine_structure(image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"
     return fine
 
 
-def agreement(first: PosedPicture, second: PosedPicture, far: float) -> float | None:
+def agreement(first: PosedPicture, second: PosedPicture) -> float | None:
     """Correlation of the fine structure of two pictures where both see one surface; None where little is common.
 
     Args:
         second: what it sees in front of that surface hides it.
-        far: metres beyond which no reading counts.
     """
-    reading = first.reading
-    depth = clean_depth(reading.depth, reading.camera, far)
-    usable = depth > 0 if reading.confidence is None else (depth > 0) & (reading.confidence > 0)
-    points = reading.camera.unproject(depth)[usable]
+    points = first.reading.camera.unproject(first.depth)[first.depth > 0]
     own, inside = _sampled(first, points)
     other, seen = _sampled(second, points)
     common = inside & seen & _confirmed(second.reading, points)

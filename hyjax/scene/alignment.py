@@ -8,11 +8,13 @@ all frames lie between them. How much is chosen by the agreement of every other 
 other pairs agree better, and the surface covers the other half of the depth maps no worse.
 """
 
+import contextlib
 import dataclasses
 import functools
 import itertools
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import trimesh
@@ -20,23 +22,23 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from hyjax.data.capture import Capture, DerivedCapture, Frame
-from hyjax.data.frames import shrink, spread
+from hyjax.data.frames import shrink, small_frame, spread
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.coverage import Coverage
 from hyjax.geometry.depth_map import DepthReading
 from hyjax.geometry.depth_sensor import PHONE_LIDAR
-from hyjax.geometry.picture_agreement import PosedPicture, agreement, fine_structure
+from hyjax.geometry.picture_agreement import PosedPicture, agreement, posed_picture
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.registration import register
 from hyjax.geometry.tsdf import fuse
 from hyjax.scene.fusion import FusionPlan, Readings, plan_fusion
 from hyjax.scene.fusion_settings import MAX_FUSED_FRAMES, FusionSettings
+from hyjax.scene.photo_light import FRAME_COUNT
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
 from hyjax.util.errors import InputError
 from hyjax.util.files import digest
-from hyjax.util.prefetch import prefetch
 
-VERSION = 2
+VERSION = 3
 """Version of the alignment. Add one when its poses change."""
 FEWEST_MAPS = 8
 """Fewest depth maps to align."""
@@ -97,22 +99,28 @@ def _align(capture: Capture, plan: FusionPlan, progress: bool) -> Arrays:
     """Corrections of the poses of every other depth map as motions; none if they are no better."""
     readings, indices = list(Readings(capture, plan.indices, plan.confidence)), np.array(plan.indices)
 
+    surfaces: dict[bytes, trimesh.Trimesh] = {}
+
     def fused(maps: Sequence[DepthReading]) -> trimesh.Trimesh:
-        return fuse(maps, plan.voxel, plan.truncation, plan.far, plan.min_weight, progress=False)
+        poses = np.stack([reading.camera.pose for reading in maps]).tobytes()
+        if poses not in surfaces:
+            surfaces[poses] = fuse(maps, plan.voxel, plan.truncation, plan.far, plan.min_weight, progress=False)
+        return surfaces[poses]
 
     def coverage(maps: Sequence[DepthReading]) -> float:
         """Coverage of every other depth map by the surface of the rest."""
         return Coverage.of(RayCaster(fused(maps[::2])), maps[1::2]).covered
 
-    moved = register(readings[::2], fused, plan.far, progress=progress)
+    with posed_pictures(capture, plan.far) as pictures:
+        moved = register(readings[::2], fused, plan.far, progress=progress)
+        posed = pictures()
     motions = np.stack(
         [new.camera.pose @ np.linalg.inv(old.camera.pose) for new, old in zip(moved, readings[::2], strict=True)]
     )
     origins = np.stack([reading.camera.origin for reading in readings[::2]])
     candidates = {width: smoothed(motions, origins, width) for width in SMOOTHING_WIDTHS}
     captures = {width: AlignedCapture(capture, indices[::2], found) for width, found in candidates.items()}
-    pictures = posed_pictures(capture)
-    scores = agreements(pictures, [capture, *captures.values()], plan.far)
+    scores = agreements(posed, [capture, *captures.values()])
     width, judged, none = DEFAULT_WIDTH, len(scores) >= FEWEST_PAIRS, {"corrections": np.zeros((0, 4, 4))}
     if judged:
         before, *after = scores[1::2].mean(axis=0)
@@ -154,40 +162,43 @@ def smoothed(
     return found
 
 
-def posed_pictures(capture: Capture) -> dict[int, PosedPicture]:
-    """Pictures spread over a capture that have a depth map of their moment, by their positions."""
+@contextlib.contextmanager
+def posed_pictures(capture: Capture, far: float) -> Iterator[Callable[[], dict[int, PosedPicture]]]:
+    """Pictures spread over a capture that have a depth map of their moment, by their positions.
 
-    def read(index: int) -> tuple[int, Frame, DepthReading] | None:
-        position = capture.depth_position(index)
-        if position != int(position):
-            return None
-        try:
-            return index, capture[index], capture.depth_reading(int(position))
-        except InputError as error:
-            _log.info("poses are judged without frame %d: %s", index, error)
-            return None
-
-    found = {}
-    for known in prefetch(read, spread(range(len(capture)), MOST_PICTURES), depth=1):
-        if known is not None:
-            index, frame, reading = known
-            picture = shrink(frame, PICTURE_WIDTH)
-            found[index] = PosedPicture(fine_structure(picture.image), picture.camera, reading)
-    return found
-
-
-def agreements(
-    pictures: dict[int, PosedPicture], captures: Sequence[Capture], far: float
-) -> Float[np.ndarray, "p n"]:
-    """Agreement of each pair of neighbouring pictures by the poses of each capture; pairs that all can tell.
+    They are read on another thread during the block, which gets a function that waits for them.
 
     Args:
         far: metres beyond which no reading counts.
     """
+    count = len(capture)
+    again = spread(range(count), FRAME_COUNT)
+
+    def read(index: int) -> PosedPicture | None:
+        position = capture.depth_position(index)
+        if position != int(position):
+            return None
+        try:
+            picture = shrink(small_frame(capture, index, keep=index in again), PICTURE_WIDTH)
+            return posed_picture(picture.image, picture.camera, capture.depth_reading(int(position)), far)
+        except InputError as error:
+            _log.info("poses are judged without frame %d: %s", index, error)
+            return None
+
+    pool = ThreadPoolExecutor(1, thread_name_prefix="posed-pictures")
+    try:
+        coming = {index: pool.submit(read, index) for index in spread(range(count), MOST_PICTURES)}
+        yield lambda: {index: found for index, future in coming.items() if (found := future.result()) is not None}
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def agreements(pictures: dict[int, PosedPicture], captures: Sequence[Capture]) -> Float[np.ndarray, "p n"]:
+    """Agreement of each pair of neighbouring pictures by the poses of each capture; pairs that all can tell."""
     pairs = []
     for (first, one), (second, other) in itertools.pairwise(pictures.items()):
         posed = [(one.moved(c.camera(first).pose), other.moved(c.camera(second).pose)) for c in captures]
-        found = [agreement(*pair, far) for pair in posed]
+        found = [agreement(*pair) for pair in posed]
         if None not in found:
             pairs.append(found)
     return np.array(pairs, float).reshape(-1, len(captures))
@@ -222,6 +233,10 @@ class AlignedCapture(DerivedCapture):
     def __getitem__(self, index: int) -> Frame:
         frame = self.source[index]
         return dataclasses.replace(frame, camera=self.corrected(frame.camera, self._position(index)))
+
+    @property
+    def picture_source(self) -> Capture:
+        return self.source.picture_source
 
     def camera(self, index: int) -> Camera:
         return self.corrected(self.source.camera(index), self._position(index))

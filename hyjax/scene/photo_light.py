@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.frames import shrink, spread
+from hyjax.data.frames import SMALL_WIDTH, shrink, small_frame, spread
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_linear
 from hyjax.light.emission import Emitters, radiant_filter
@@ -35,11 +35,9 @@ from hyjax.util.programs import run_kept
 
 FRAME_COUNT = 24
 """Number of frames, spread over the capture, for the estimate of the photo's light."""
-FRAME_WIDTH = 640
-"""Largest longer side of these frames, in pixels. Larger ones are shrunk to it: found sources differ by size."""
 PANE_FRAMES, PANE_WIDTH = 12, 320
 """Number of frames for the means of panes, and their longer side in pixels."""
-VERSION = 25
+VERSION = 26
 """Version of sources and estimate. Add one when either changes."""
 _log = logging.getLogger(__name__)
 _Stored = tuple[Estimate, Float[np.ndarray, "n 3"]]
@@ -245,19 +243,21 @@ class ScenePhotoLight:
 
         def read(index: int) -> Frame | None:
             try:
-                return shrink(self._capture[index], self._longest)
+                return shrink(small_frame(self._capture, index), self._longest)
             except InputError as error:  # told in full when it is its turn to be relit
                 _log.info("the photo's light is estimated without frame %d: %s", index, error)
                 return None
 
         chosen = spread(range(len(self._capture)), FRAME_COUNT)
         frames = prefetch(read, chosen, depth=1)  # in order, as videos are read
-        return [frame for frame in frames if frame is not None] or [shrink(self._capture[0], self._longest)]
+        return [frame for frame in frames if frame is not None] or [
+            shrink(small_frame(self._capture, 0), self._longest)
+        ]
 
     @property
     def _longest(self) -> int:
         """Longer side of these frames. Smaller ones stay as they are: what is enlarged shows false windows."""
-        return min(FRAME_WIDTH, max(self._size or (FRAME_WIDTH,)))
+        return min(SMALL_WIDTH, max(self._size or (SMALL_WIDTH,)))
 
 
 def _content(file: Path | None) -> str:

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from hyjax.data.capture import Capture, Frame
+from hyjax.data.frames import small_frame
 from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.depth_map import DepthReading
@@ -96,8 +97,28 @@ def test_pictures_agree_better_by_aligned_poses() -> None:
     capture = Drifting(0.12, pattern=True)
     found = aligned(capture, FusionSettings(), progress=False)
     assert isinstance(found, AlignedCapture)
-    tracked, corrected = alignment.agreements(alignment.posed_pictures(capture), [capture, found], 5.0).mean(axis=0)
+    with alignment.posed_pictures(capture, 5.0) as pictures:
+        tracked, corrected = alignment.agreements(pictures(), [capture, found]).mean(axis=0)
     assert corrected > max(tracked + 0.01, 0.99)
+
+
+def test_pictures_that_judged_poses_are_not_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    read, frame = list[int](), Drifting.__getitem__
+
+    def counted(self: Drifting, index: int) -> Frame:
+        read.append(index)
+        return frame(self, index)
+
+    capture = Drifting(0.12, pattern=True)
+    found = aligned(capture, FusionSettings(), progress=False)
+    expected = [found[index] for index in range(len(capture))]
+    monkeypatch.setattr(Drifting, "__getitem__", counted)
+    small = [small_frame(found, index) for index in range(len(capture))]
+    assert not read and not capture.__dict__["_small_frames"]
+    for mine, whole in zip(small, expected, strict=True):
+        np.testing.assert_array_equal(mine.image, whole.image)
+        np.testing.assert_array_equal(mine.camera.pose, whole.camera.pose)
+        assert mine.depth is None
 
 
 @pytest.mark.parametrize("pattern", [False, True])

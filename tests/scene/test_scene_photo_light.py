@@ -12,6 +12,7 @@ import trimesh
 
 from hyjax import AmbientLight, LightSetup, PointLight, Scene
 from hyjax.configuration import Configuration, LightOptions
+from hyjax.data import frames
 from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.light.photo_light import SurfaceLight
@@ -90,7 +91,8 @@ def test_the_next_start_reads_no_frame_and_finds_the_same(from_file: bool, named
 
 def test_another_size_of_large_pictures_takes_the_kept_light(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also one of other proportions: the light is estimated from whole pictures."""
-    monkeypatch.setattr(photo_light, "FRAME_WIDTH", LENS.width // 2)
+    for module in (frames, photo_light):
+        monkeypatch.setattr(module, "SMALL_WIDTH", LENS.width // 2)
     sizes = (None, (LENS.height // 2, LENS.width // 2), (LENS.width, LENS.width), (3, 4), (2, 4))
     rooms = [Room() for _ in sizes]
     scenes = [Scene(room, walls(), size=size) for room, size in zip(rooms, sizes, strict=True)]
