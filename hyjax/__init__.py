@@ -8,6 +8,8 @@ Names are loaded when they are first asked for; `__init__.pyi` says from where.
 """
 
 import os
+import sys
+import warnings
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -21,14 +23,21 @@ def _avoid_wrong_sums() -> None:
 
     There sums by YNNPACK on a processor with several cores are wrong at times, without a word, as
     `jnp.mean(x, where=mask)` in a jitted function. Sources: jax-ml/jax#39103, tensorflow/tensorflow#126812. XLA
-    reads the variable with its first program.
+    reads the variable when JAX starts its first backend.
     """
-    found, flags = find_spec("jaxlib"), os.environ.get("XLA_FLAGS", "")
+    found, flags = find_spec("jaxlib"), os.environ.get("XLA_FLAGS", "").strip()
     if found is None or found.origin is None or _SUM_OPTION in flags:
         return
     releases = Path(found.origin).parents[1].glob("jaxlib-*.dist-info")
-    if any(path.name.startswith(("jaxlib-0.10.2.", "jaxlib-0.11.")) for path in releases):
-        os.environ["XLA_FLAGS"] = f"{flags} {_SUM_OPTION}=-reduce".strip()
+    if not any(path.name.startswith(("jaxlib-0.10.2.", "jaxlib-0.11.")) for path in releases):
+        return
+    option = f"{_SUM_OPTION}=-reduce"
+    started = getattr(sys.modules.get("jax._src.xla_bridge"), "_backends", None)
+    if started or (flags and not flags.startswith("-")):  # a file's name, to which nothing can be added
+        place = "set it before JAX's first use, or import hyjax first" if started else f"add it to {flags}"
+        warnings.warn(f"XLA_FLAGS lacks {option}, without which sums may be wrong: {place}", stacklevel=2)
+        return
+    os.environ["XLA_FLAGS"] = f"{flags} {option}".strip()
 
 
 _avoid_wrong_sums()

@@ -36,7 +36,7 @@ sys.path.append(str(Path(__file__).parents[1]))
 
 os.environ["XLA_FLAGS"] = f"{UNOPTIMISED} {os.environ.get('XLA_FLAGS', '')}"  # of commands, too
 os.environ.setdefault("NPROC", "1")  # threads of XLA: there is a worker for each core
-jax.block_until_ready(jax.jit(lambda x: x + 1)(0.0))  # XLA reads its flags with the first program
+jax.block_until_ready(jax.jit(lambda x: x + 1)(0.0))  # XLA reads its flags with its first backend
 COMPILED = "HYJAX_TESTS_COMPILED"
 PASSED = "HYJAX_TESTS_PASSED"
 """Names of environment variables: folder of compiled programs, file of tests that passed in an earlier step."""

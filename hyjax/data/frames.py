@@ -80,6 +80,11 @@ def small_frame(capture: Capture, index: int, *, keep: bool = False) -> Frame:
     return dataclasses.replace(frame, camera=fit_camera(capture.camera(index), frame.camera.intrinsics.shape))
 
 
+def forget_small_frames(capture: Capture) -> None:
+    """Forget the pictures that `small_frame` has kept."""
+    capture.picture_source.__dict__.pop("_small_frames", None)
+
+
 def select_frames(text: str, count: int) -> list[int]:
     """Frame indices from `all`, `7`, `0:300:30` (as Python slices) or a comma-separated list of these."""
     chosen: list[int] = []

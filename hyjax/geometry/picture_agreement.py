@@ -51,7 +51,7 @@ def posed_picture(
     """
     depth = clean_depth(reading.depth, reading.camera, far)
     if reading.confidence is not None:
-        depth[reading.confidence <= 0] = 0.0
+        depth[~(reading.confidence > 0)] = 0.0
     return PosedPicture(fine_structure(image), camera, reading, depth)
 
 

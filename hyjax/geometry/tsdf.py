@@ -35,7 +35,7 @@ from hyjax.util.progress import StepBar
 
 _log = logging.getLogger(__name__)
 BLOCK_SIDE = 8
-CHUNK = 1024  # blocks that a thread takes at once
+CHUNK = 256  # blocks that a thread takes at once
 MAX_BLOCKS = 1 << 20  # 4 GiB of voxels
 MAX_CANDIDATES = 8_000_000  # blocks in the box around one view
 SAVE_INTERVAL = 30.0
@@ -176,6 +176,7 @@ class Volume:
         weight = view_cosine(depth, camera) / np.maximum(depth, 0.5) ** 2
         if confidence is not None:
             weight *= np.square(confidence, dtype=np.float32)
+        depth, weight = (np.ascontiguousarray(values, np.float32) for values in (depth, weight))
         coordinates = _blocks_in_view(depth, camera, self.voxel * BLOCK_SIDE, self.truncation)
         slots = self._slots_of(voxel_keys(coordinates))
         chunks = [slice(start, start + CHUNK) for start in range(0, len(slots), CHUNK)]
@@ -194,7 +195,6 @@ class Volume:
 
         turned = camera.pose[:3, :3].T
         project = camera.intrinsics.matrix @ np.column_stack([turned, -turned @ camera.origin])
-        weight = np.ascontiguousarray(weight, np.float32)
         sizes = self.voxel, self.truncation, NEAR_LIMIT
         add_votes(coordinates, slots, depth, weight, project, *sizes, self._sums, self._weights)
 

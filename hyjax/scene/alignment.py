@@ -46,8 +46,8 @@ LEAST_GAIN = 0.005
 """Least gain of coverage of held-out depth by aligned poses, where no pictures can judge them."""
 LEAST_AGREEMENT_GAIN = 0.01
 """Least gain of the mean agreement of held-out pairs of pictures by aligned poses."""
-MOST_PICTURES, PICTURE_WIDTH = 48, 320
-"""Most pictures whose agreement is measured, and their longer side in pixels."""
+MOST_PICTURES, PICTURE_WIDTH = 2 * FRAME_COUNT - 1, 320
+"""Most pictures whose agreement is measured, the photo's light's among them, and their longer side in pixels."""
 FEWEST_PAIRS = 6
 """Fewest pairs of pictures that can judge poses."""
 SMOOTHING_WIDTHS = (2.0, 4.0, 8.0, 16.0)
@@ -99,13 +99,16 @@ def _align(capture: Capture, plan: FusionPlan, progress: bool) -> Arrays:
     """Corrections of the poses of every other depth map as motions; none if they are no better."""
     readings, indices = list(Readings(capture, plan.indices, plan.confidence)), np.array(plan.indices)
 
-    surfaces: dict[bytes, trimesh.Trimesh] = {}
+    tracked: dict[bytes, trimesh.Trimesh] = {}
 
     def fused(maps: Sequence[DepthReading]) -> trimesh.Trimesh:
         poses = np.stack([reading.camera.pose for reading in maps]).tobytes()
-        if poses not in surfaces:
-            surfaces[poses] = fuse(maps, plan.voxel, plan.truncation, plan.far, plan.min_weight, progress=False)
-        return surfaces[poses]
+        if poses in tracked:
+            return tracked[poses]
+        mesh = fuse(maps, plan.voxel, plan.truncation, plan.far, plan.min_weight, progress=False)
+        if not tracked:  # the first is the one as tracked, which is asked for again
+            tracked[poses] = mesh
+        return mesh
 
     def coverage(maps: Sequence[DepthReading]) -> float:
         """Coverage of every other depth map by the surface of the rest."""

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.frames import SMALL_WIDTH, shrink, small_frame, spread
+from hyjax.data.frames import SMALL_WIDTH, forget_small_frames, shrink, small_frame, spread
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_linear
 from hyjax.light.emission import Emitters, radiant_filter
@@ -218,7 +218,11 @@ class ScenePhotoLight:
                 )
                 return {**arrays, "pane_means": means.result()}
 
-        return cached_arrays(self._file, lambda arrays: (read_estimate(caster, arrays), arrays["pane_means"]), made)
+        found = cached_arrays(
+            self._file, lambda arrays: (read_estimate(caster, arrays), arrays["pane_means"]), made
+        )
+        forget_small_frames(self._capture)  # where it was kept, nobody has asked for them
+        return found
 
     def _pane_means(self, sources: PhotoSources) -> Float[np.ndarray, "n 3"]:
         """Mean radiance of each pane in the frames, linear."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from hyjax.geometry.coverage import Coverage
 
-VERSION = 3
+VERSION = 4
 """Version of the surfaces. Add one when a fusion or a scan changes."""
 ENOUGH_COVERAGE = 0.9
 """Coverage of a device's mesh from which no fusion is tried."""

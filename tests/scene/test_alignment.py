@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.frames import small_frame
+from hyjax.data.frames import small_frame, spread
 from hyjax.data.registry import open_capture
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.depth_map import DepthReading
@@ -17,6 +17,7 @@ from hyjax.scene import alignment, surfaces
 from hyjax.scene.alignment import AlignedCapture, aligned
 from hyjax.scene.fusion import coverage_of, fuse_capture, plan_fusion
 from hyjax.scene.fusion_settings import FusionSettings
+from hyjax.scene.photo_light import FRAME_COUNT
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 
@@ -115,6 +116,8 @@ def test_pictures_that_judged_poses_are_not_read_again(monkeypatch: pytest.Monke
     monkeypatch.setattr(Drifting, "__getitem__", counted)
     small = [small_frame(found, index) for index in range(len(capture))]
     assert not read and not capture.__dict__["_small_frames"]
+    for count in (30, 95, 300, 1001):  # of any walk
+        assert set(spread(range(count), FRAME_COUNT)) <= set(spread(range(count), alignment.MOST_PICTURES))
     for mine, whole in zip(small, expected, strict=True):
         np.testing.assert_array_equal(mine.image, whole.image)
         np.testing.assert_array_equal(mine.camera.pose, whole.camera.pose)
