@@ -35,7 +35,8 @@ def _avoid_wrong_sums() -> None:
     started = getattr(sys.modules.get("jax._src.xla_bridge"), "_backends", None)
     if started or (flags and not flags.startswith("-")):  # a file's name, to which nothing can be added
         place = "set it before JAX's first use, or import hyjax first" if started else f"add it to {flags}"
-        warnings.warn(f"XLA_FLAGS lacks {option}, without which sums may be wrong: {place}", stacklevel=2)
+        danger = f"XLA_FLAGS lacks {option}, without which sums may be wrong (jax-ml/jax#39103)"
+        warnings.warn(f"{danger}: {place}", stacklevel=3)  # the line that imports hyjax
         return
     os.environ["XLA_FLAGS"] = f"{flags} {option}".strip()
 

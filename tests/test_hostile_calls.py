@@ -135,9 +135,13 @@ def test_pictures_of_bytes_are_scaled_and_that_is_said_once(name: str, caplog: p
     assert [record.message.split(":")[0] for record in caplog.records] == [argument]
 
 
-def test_a_guide_of_bytes_is_refused() -> None:
+def test_a_guide_and_a_mask_of_bytes_are_refused() -> None:
     with pytest.raises(hyjax.InputError, match=r"^guide: must be a float array .* got uint8 of shape .* by 255$"):
         hyjax.conductance(np.zeros((H, W, 3), np.uint8), 20.0)
+    with pytest.raises(
+        hyjax.InputError, match=r"^valid: .* got uint8 of shape .*; compare a mask of bytes with 0$"
+    ):
+        hyjax.metrics.psnr(PICTURE, PICTURE, valid=np.full((H, W), 255, np.uint8))
 
 
 def test_lists_of_whole_numbers_are_no_display_picture() -> None:

@@ -160,7 +160,10 @@ class Kind:
             return InputError(f"{name}: must be {self.wanted}, got {shown(value)}")
         got = f"must be {self.wanted}, got {described(value)}"
         if value.dtype == np.uint8 and self.arrays:
-            return InputError(f"{name}: {got}; divide a picture of bytes by 255")
+            remedy = (
+                "compare a mask of bytes with 0" if "bool" in self.wanted else "divide a picture of bytes by 255"
+            )
+            return InputError(f"{name}: {got}; {remedy}")
         sizes = self.sizes(value)
         for axis, size in sizes.items():
             for other, (kind, earlier) in seen.items():
