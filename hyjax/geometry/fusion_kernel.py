@@ -21,12 +21,13 @@ def add_votes(
     """Add a vote to each voxel that a depth map sees, weighted distances to `sums` and weights to `weights`.
 
     Args:
-        coordinates: of the blocks, in blocks.
+        coordinates: numbers of the blocks along the world's axes; block 0 begins at the origin.
         slots: rows of the blocks in `sums` and `weights`, which have a column for each voxel.
         depth: metres, 0 for none.
-        weight: of each reading.
+        weight: weight of each reading.
         project: (3, 4), from the world to homogeneous pixel coordinates, the third of which is the depth.
-        near: least depth of a voxel.
+        voxel, truncation: edge of a voxel, and half the width of the band around the surface; metres.
+        near: least depth of a voxel, metres.
     """
     side = round(sums.shape[1] ** (1.0 / 3.0))
     height, width = depth.shape

@@ -135,12 +135,14 @@ class RayCaster:
         )
 
     def _run(self, starts: Float[np.ndarray, "n 3"], rays: Float[np.ndarray, "n 3"]) -> dict[str, np.ndarray]:
-        """Embree's answers, asked for by parts: it keeps all of Python waiting meanwhile."""
-        parts = [
-            self._scene.run(starts[k : k + RAYS_AT_ONCE], rays[k : k + RAYS_AT_ONCE], output=True)
-            for k in range(0, max(len(rays), 1), RAYS_AT_ONCE)
-        ]
+        """Embree's answers, with all that it knows of a hit."""
+        parts = self._by_parts(starts, rays, output=True)
         return {key: np.concatenate([part[key] for part in parts]) for key in ("tfar", "primID", "u", "v")}
+
+    def _by_parts(self, starts: np.ndarray, rays: np.ndarray, *, output: bool) -> list[Any]:
+        """Embree's answers to parts of the rays: it keeps all of Python waiting meanwhile."""
+        parts = [slice(k, k + RAYS_AT_ONCE) for k in range(0, max(len(rays), 1), RAYS_AT_ONCE)]
+        return [self._scene.run(starts[part], rays[part], output=output) for part in parts]
 
     def nearest_faces(
         self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n r 3"]
@@ -148,9 +150,7 @@ class RayCaster:
         """Triangle that each ray from a point hits first, -1 for none; one in millions may slip through."""
         starts = np.repeat((origins - self._centre).astype(np.float32), directions.shape[1], axis=0)
         rays = np.ascontiguousarray(directions.reshape(-1, 3), np.float32)
-        parts = [slice(k, k + RAYS_AT_ONCE) for k in range(0, max(len(rays), 1), RAYS_AT_ONCE)]
-        found = np.concatenate([self._scene.run(starts[part], rays[part]) for part in parts])
-        return found.reshape(directions.shape[:2])
+        return np.concatenate(self._by_parts(starts, rays, output=False)).reshape(directions.shape[:2])
 
     @checked_arguments
     def occluded(

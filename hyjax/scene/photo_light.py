@@ -221,7 +221,7 @@ class ScenePhotoLight:
         found = cached_arrays(
             self._file, lambda arrays: (read_estimate(caster, arrays), arrays["pane_means"]), made
         )
-        forget_small_frames(self._capture)  # where it was kept, nobody has asked for them
+        forget_small_frames(self._capture)  # where the estimate was kept, nobody has asked for them
         return found
 
     def _pane_means(self, sources: PhotoSources) -> Float[np.ndarray, "n 3"]:
@@ -260,7 +260,10 @@ class ScenePhotoLight:
 
     @property
     def _longest(self) -> int:
-        """Longer side of these frames. Smaller ones stay as they are: what is enlarged shows false windows."""
+        """Longer side of these frames. Larger ones are shrunk to it, as what is found differs by size.
+
+        Smaller ones stay as they are: what is enlarged shows false windows.
+        """
         return min(SMALL_WIDTH, max(self._size or (SMALL_WIDTH,)))
 
 

@@ -93,7 +93,7 @@ def test_a_flat_scan_has_a_box_that_stands_off_it() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_rays_leave_the_box_on_the_patch_that_they_are_told_to(seed: int) -> None:
+def test_rays_leave_the_box_on_the_patch_that_is_found(seed: int) -> None:
     rng, axis = np.random.default_rng(seed), np.eye(3)
     box = enclose(RayCaster(room(0.4)), UP)
     inside = (box.low + rng.random((40, 3)) * (box.high - box.low)) @ box.axes
