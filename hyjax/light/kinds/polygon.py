@@ -1,14 +1,19 @@
 """Form factors of polygons: the cosine-weighted share of a surface's hemisphere that an emitter fills."""
 
 import functools
+from collections.abc import Sequence
+from typing import Any
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from hyjax.util.geometry import TINY, angle, cross, dot
+from hyjax.util.geometry import TINY, angle, inner
+
+Vector = Sequence[Array]
+"""Vector by components: interleaved they keep the CPU's vector units half empty."""
 
 
-def polygon_form_factor(corners: list[Float[Array, "*s 3"]], n: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
+def polygon_form_factor(corners: Sequence[Vector], n: Vector) -> Float[Array, "*s"]:
     """Form factor of a convex polygon for a surface point with unit normal n.
 
     F = 1/(2π) Σ θ_i Γ_i·n over the edges of the polygon clipped to the horizon plane (Lambert 1760; Baum, Rushmeier
@@ -17,24 +22,24 @@ def polygon_form_factor(corners: list[Float[Array, "*s 3"]], n: Float[Array, "*s
     the point where the outline goes under to the point where it comes up again.
 
     Args:
-        corners: corners relative to the point, in order, counter-clockwise from there, or clockwise.
+        corners: corners relative to the point, in order, counter-clockwise from there, or clockwise; each by its
+            three components, like n.
 
     Returns:
         Fraction of the hemisphere, cosine-weighted, in [0, 1].
     """
-    heights = [dot(c, n) for c in corners]
+    heights = [inner(c, n) for c in corners]
     total = jnp.zeros_like(heights[0])
-    sinks = rises = jnp.zeros_like(corners[0])
-    for a, b, ha, hb in zip(corners, corners[1:] + corners[:1], heights, heights[1:] + heights[:1], strict=True):
+    sinks = rises = [total] * 3
+    edges = zip(corners, [*corners[1:], corners[0]], heights, [*heights[1:], heights[0]], strict=True)
+    for a, b, ha, hb in edges:
         crosses = (ha > 0) != (hb > 0)
         t = jnp.where(crosses, ha / jnp.where(crosses, ha - hb, 1.0), 0.0)
-        horizon = a + t[..., None] * (b - a)
-        start = jnp.where((ha > 0)[..., None], a, horizon)
-        end = jnp.where((hb > 0)[..., None], b, horizon)
-        visible = (ha > 0) | (hb > 0)
+        horizon = [x + t * (y - x) for x, y in zip(a, b, strict=True)]
+        start, end, visible = _where(ha > 0, a, horizon), _where(hb > 0, b, horizon), (ha > 0) | (hb > 0)
         total += jnp.where(visible, _edge_integral(start, end, n, visible), 0.0)
-        sinks = jnp.where((crosses & (ha > 0))[..., None], horizon, sinks)
-        rises = jnp.where((crosses & (hb > 0))[..., None], horizon, rises)
+        sinks = _where(crosses & (ha > 0), horizon, sinks)
+        rises = _where(crosses & (hb > 0), horizon, rises)
     clipped = functools.reduce(jnp.logical_or, [h > 0 for h in heights]) & (
         functools.reduce(jnp.logical_or, [h <= 0 for h in heights])
     )
@@ -42,13 +47,14 @@ def polygon_form_factor(corners: list[Float[Array, "*s 3"]], n: Float[Array, "*s
     return jnp.abs(total) / (2 * jnp.pi)
 
 
-def _edge_integral(
-    a: Float[Array, "*s 3"], b: Float[Array, "*s 3"], n: Float[Array, "*s 3"], valid: Array
-) -> Float[Array, "*s"]:
+def _where(condition: Bool[Array, "*s"], a: Vector, b: Sequence[Any]) -> list[Array]:
+    return [jnp.where(condition, x, y) for x, y in zip(a, b, strict=True)]
+
+
+def _edge_integral(a: Vector, b: Vector, n: Vector, valid: Bool[Array, "*s"]) -> Float[Array, "*s"]:
     """Angle subtended by edge a→b, times the component along n of its plane's unit normal."""
     # Invalid edges get harmless stand-ins, so that neither values nor gradients turn NaN.
-    a = jnp.where(valid[..., None], a, jnp.array([1.0, 0.0, 0.0], a.dtype))
-    b = jnp.where(valid[..., None], b, jnp.array([0.0, 1.0, 0.0], b.dtype))
-    normal = cross(a, b)
-    sine = jnp.sqrt(dot(normal, normal) + TINY**2)
-    return angle(sine, dot(a, b)) * dot(normal, n) / sine
+    a, b = _where(valid, a, (1.0, 0.0, 0.0)), _where(valid, b, (0.0, 1.0, 0.0))
+    normal = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    sine = jnp.sqrt(inner(normal, normal) + TINY**2)
+    return angle(sine, inner(a, b)) * inner(normal, n) / sine

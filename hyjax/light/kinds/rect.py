@@ -54,7 +54,8 @@ class RectLight(Light):
         area = 4.0 * jnp.sqrt(dot(normal, normal))
         corners = [self.center + s * self.right + t * self.up for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
         in_front = dot(p - self.center, normal) > 0
-        form_factor = polygon_form_factor([c - p for c in corners], n)
+        sides = [[c[k] - p[..., k] for k in range(3)] for c in corners]
+        form_factor = polygon_form_factor(sides, [n[..., k] for k in range(3)])
         # E = π L F with L = Φ/(π A)
         return jnp.where(in_front, form_factor, 0.0) * (self.luminous_flux / area)
 
