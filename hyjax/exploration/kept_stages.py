@@ -36,11 +36,10 @@ class KeptStages:
             made_from = dataclasses.replace(shaded, colors=None), *rest  # no cascade takes colours
             return self._of(function, made_from, lambda: run_kept(function, *arrays, **static))
         if function is with_light_edges and self._draft:
-            light, *rest = arrays
+            illuminance, *rest = arrays
             view, weights = rest
-            return sharpened(
-                light, self._of(function, rest, lambda: edge_correction(view, own_light(light), weights))
-            )
+            own = own_light(illuminance)
+            return sharpened(own, self._of(function, rest, lambda: edge_correction(view, own, weights)))
         return run_kept(function, *arrays, **static)
 
     def _of(self, function: Any, arrays: Any, make: Callable[[], Any]) -> Any:

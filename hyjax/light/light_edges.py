@@ -27,6 +27,7 @@ from hyjax.core.screened import screened_poisson
 from hyjax.core.stencil import Edges, gradient
 from hyjax.core.upsampling import guided_upsample
 from hyjax.light.photo_light import LEAST_PHOTO_LIGHT
+from hyjax.light.shading import mix_channels
 from hyjax.light.view import View
 from hyjax.util.errors import InputError
 
@@ -52,9 +53,10 @@ FEATURES = 12
 
 
 @jax.jit
-def with_light_edges(illuminance: Float[Array, "h w c"], view: View, weights: Weights) -> Float[Array, "h w c"]:
-    """Refined light whose last three channels, the photo's own light, follow the photo's light edges."""
-    return sharpened(illuminance, edge_correction(view, own_light(illuminance), weights))
+def with_light_edges(illuminance: Float[Array, "h w c"], view: View, weights: Weights) -> Float[Array, "h w 3"]:
+    """The photo's own light, the last three channels of refined light, as the photo's light edges sharpen it."""
+    own = own_light(illuminance)
+    return sharpened(own, edge_correction(view, own, weights))
 
 
 def own_light(illuminance: Float[Array, "h w c"]) -> Float[Array, "h w 3"]:
@@ -63,10 +65,9 @@ def own_light(illuminance: Float[Array, "h w c"]) -> Float[Array, "h w 3"]:
 
 
 @jax.jit
-def sharpened(illuminance: Float[Array, "h w c"], correction: Float[Array, "h w 1"]) -> Float[Array, "h w c"]:
-    """Refined light, of which the photo's own is multiplied by exp c, see `edge_correction`."""
-    own = own_light(illuminance) * jnp.exp(correction)
-    return jnp.concatenate([illuminance[..., :-3], own], axis=-1)
+def sharpened(own: Float[Array, "h w 3"], correction: Float[Array, "h w 1"]) -> Float[Array, "h w 3"]:
+    """The photo's own light times exp c, see `edge_correction`."""
+    return own * jnp.exp(correction)
 
 
 @jax.jit
@@ -89,7 +90,8 @@ def edge_correction(view: View, light: Float[Array, "h w 3"], weights: Weights) 
     factor = max(1, round(max(shape) / LONGEST_SIDE))
     buffer = view.gbuffer
     normal, depth, hit = (x[::factor, ::factor] for x in (buffer.normal, buffer.depth, buffer.hit))
-    normal = jnp.where(hit[..., None], jnp.matmul(normal, jnp.asarray(view.pose)[:3, :3], precision="highest"), 0.0)
+    turned = mix_channels(normal, jnp.asarray(view.pose)[:3, :3])  # XLA multiplies so small matrices slowly
+    normal = jnp.where(hit[..., None], turned, 0.0)
     depth = jnp.where(hit, depth, 1.0)
     frame, light = (downsample(x, factor) for x in (finite_or_zero(view.frame), light))
     log_frame = jnp.log(jnp.maximum(frame, LEAST_LIGHT))

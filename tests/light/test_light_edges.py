@@ -27,7 +27,7 @@ from hyjax.light.light_edges import (
 )
 from hyjax.light.view import View
 from hyjax.pipeline import relight
-from hyjax.scene.relighter import Relighter
+from hyjax.scene.relighter import Relighter, refine
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.synthetic.random_room import make_random_room, photograph
@@ -125,6 +125,20 @@ def test_the_default_follows_light_edges_and_the_choice_leaves_them_out(scene: S
     change = np.asarray(sharp.relight_filter) / np.maximum(np.asarray(blurred.relight_filter), 1e-6)
     assert np.abs(np.log(np.maximum(change, 1e-3))).max() > 0.02
     np.testing.assert_allclose(change, change[..., :1].repeat(3, -1), rtol=2e-3)
+
+
+def test_a_temporal_filter_that_changes_nothing_leaves_the_sharpened_picture(scene: Scene) -> None:
+    relighter, seen = Relighter(scene, "center-point"), []
+
+    def remember(illuminance: jax.Array, visibility: jax.Array) -> tuple[jax.Array, jax.Array]:
+        seen.append(illuminance)
+        return illuminance, visibility
+
+    lit = relighter.lit(0)
+    stages = dict(refine(lit, relighter.configuration))
+    steadied = dict(refine(lit, relighter.configuration, temporal_filter=remember))
+    np.testing.assert_allclose(steadied["composite"], stages["composite"], rtol=1e-5, atol=1e-7)
+    np.testing.assert_array_equal(seen[0][..., -3:], stages["light edges"])
 
 
 def test_a_photo_whose_own_sources_stay_on_is_left_alone(scene: Scene) -> None:
