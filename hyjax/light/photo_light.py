@@ -22,7 +22,7 @@ from hyjax.light.emission import Emitters
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.shaded import Shaded
-from hyjax.light.shading import mix_channels, shade_each
+from hyjax.light.shading import shade_each
 from hyjax.light.shadow_map import ShadowMap, visibilities
 from hyjax.light.surface_outliers import without_outliers
 from hyjax.light.transport import Transport, bounce
@@ -118,9 +118,11 @@ def _bounced(
         jnp.ones((1, transport.position.shape[0])),
         jnp.ones((1, transport.position.shape[0]), bool),
     )
-    channels = shade_each(points, lights) * visibilities(points, lights, shadow_maps)
-    direct = mix_channels(channels, [light.color for light in lights])[0]
-    bounced = without_outliers(bounce(transport, photo.albedo, direct)[: transport.vertices], transport.faces)
+    channels = (shade_each(points, lights) * visibilities(points, lights, shadow_maps))[0]
+    # Each light's bounces by themselves: so lights add up although outliers are held back.
+    direct = jnp.concatenate([channels[:, k, None] * light.color for k, light in enumerate(lights)], axis=-1)
+    each = without_outliers(bounce(transport, photo.albedo, direct)[: transport.vertices], transport.faces)
+    bounced = functools.reduce(jnp.add, [each[:, 3 * k : 3 * k + 3] for k in range(len(lights))])
     return jnp.maximum(bounced, least)
 
 
