@@ -31,14 +31,24 @@ def to_linear(display: Float[Array, "*s"]) -> Float[Array, "*s"]:
 @jax.jit
 def to_display(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Linear light → display-encoded values in [0, 1]; anything brighter than 1 is clipped to white."""
-    power = 1.055 * _power(jnp.clip(linear, 0.0031308, 1.0), 1.0 / 2.4) - 0.055
+    power = display_curve(jnp.clip(linear, 0.0031308, 1.0))
     # `where` and not `maximum`, whose gradient at a tie is half: black pixels keep the slope of the light they get.
     return jnp.where(linear < 0.0, 0.0, jnp.where(linear <= 0.0031308, linear * 12.92, power))
 
 
+def display_curve(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
+    """The curved part of the sRGB encoding, above 0.0031308, and its continuation above 1.
+
+    >>> [round(float(x), 4) for x in display_curve(jnp.array([0.18, 1.0, 2.0]))]
+    [0.4614, 1.0, 1.3533]
+    """
+    return 1.055 * _power(linear, 1.0 / 2.4) - 0.055
+
+
 def _power(base: Float[Array, "*s"], exponent: float) -> Float[Array, "*s"]:
     """Power of numbers above 0, to rounding: XLA's CPU backend takes four times longer for `**`."""
-    return jnp.exp(exponent * jnp.log(base))
+    exact = base.astype(jnp.promote_types(base.dtype, jnp.float32))
+    return jnp.exp(exponent * jnp.log(exact)).astype(base.dtype)
 
 
 @jax.jit

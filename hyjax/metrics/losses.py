@@ -27,6 +27,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from hyjax.core.pyramid import downsample
 from hyjax.core.stencil import Edges, divergence, gradient
+from hyjax.light.color import display_curve
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.tracing import concrete
@@ -113,9 +114,7 @@ def display_unclipped(relight_filter: Float[Array, "*s"], frame: Float[Array, "*
         Display values, above 1 where the product is.
     """
     linear = relight_filter * frame
-    # exp(log) because XLA's CPU power takes longer, and once more for its slope.
-    power = 1.055 * jnp.exp(jnp.log(jnp.maximum(linear, 0.0031308)) * (1.0 / 2.4)) - 0.055
-    return jnp.where(linear <= 0.0031308, linear * 12.92, power)
+    return jnp.where(linear <= 0.0031308, linear * 12.92, display_curve(jnp.maximum(linear, 0.0031308)))
 
 
 @checked_arguments

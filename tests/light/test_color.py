@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hyjax import InputError, blackbody, composite, luminance, to_display, to_linear
+from hyjax.light.color import to_display_bytes
 
 
 def test_known_values() -> None:
@@ -16,6 +17,29 @@ def test_known_values() -> None:
     np.testing.assert_allclose(to_display(jnp.array([0.0, 0.18, 1.0])) * 255, [0.0, 117.6465, 255.0], rtol=1e-4)
     np.testing.assert_allclose(to_linear(jnp.array([0.02])), [0.02 / 12.92], rtol=1e-6)
     np.testing.assert_allclose(to_display(jnp.array([0.001])), [0.01292], rtol=1e-6)
+
+
+def test_single_precision_is_that_of_powers_to_rounding() -> None:
+    x = np.linspace(0.0, 1.0, 4097, dtype=np.float32)
+    exact = x.astype(np.float64)
+    linear = np.where(exact <= 0.04045, exact / 12.92, ((exact + 0.055) / 1.055) ** 2.4)
+    display = np.where(exact <= 0.0031308, exact * 12.92, 1.055 * exact ** (1 / 2.4) - 0.055)
+    np.testing.assert_allclose(to_linear(jnp.asarray(x)), linear, rtol=1e-6)
+    np.testing.assert_allclose(to_display(jnp.asarray(x)), display, rtol=1e-6)
+
+
+def test_bytes_come_back_as_they_were() -> None:
+    values = np.arange(256)
+    np.testing.assert_array_equal(to_display_bytes(to_linear(jnp.asarray(values / 255, jnp.float32))), values)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
+def test_half_precision_is_rounded_once(dtype: type) -> None:
+    x = jnp.linspace(0.05, 1.0, 200).astype(dtype)
+    for curve in (to_linear, to_display):
+        found, exact = curve(x), curve(x.astype(jnp.float32))
+        assert found.dtype == dtype
+        np.testing.assert_allclose(found.astype(jnp.float32), exact, rtol=8 * float(jnp.finfo(dtype).eps))
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4))
