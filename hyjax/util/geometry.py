@@ -13,24 +13,33 @@ from jaxtyping import Array, Float
 
 TINY = 1e-12
 """Keeps divisions by squared lengths and by weights finite."""
+Components = Sequence[Array] | Array
+"""Vectors component by component: a sequence of three arrays, or a leading axis."""
 
 
-def inner(a: Sequence[Array] | Array, b: Sequence[Array] | Array) -> Array:
-    """Inner product of vectors given component by component: sequences of three arrays, or a leading axis."""
+def inner(a: Components, b: Components) -> Array:
+    """Inner product of vectors given component by component."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross_product(a: Components, b: Components) -> list[Array]:
+    """Cross product of vectors given component by component."""
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def components(a: Float[Array, "*s 3"]) -> list[Array]:
+    """Components of vectors along the last axis."""
+    return [a[..., k] for k in range(3)]
 
 
 def dot(a: Float[Array, "*s 3"], b: Float[Array, "*s 3"]) -> Float[Array, "*s"]:
     """Inner product along the last axis."""
-    return inner([a[..., k] for k in range(3)], [b[..., k] for k in range(3)])
+    return inner(components(a), components(b))
 
 
 def cross(a: Float[Array, "*s 3"], b: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
     """Cross product along the last axis."""
-    x = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
-    y = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
-    z = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return jnp.stack([x, y, z], axis=-1)
+    return jnp.stack(cross_product(components(a), components(b)), axis=-1)
 
 
 def unit(a: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:

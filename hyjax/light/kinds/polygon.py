@@ -7,13 +7,10 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from hyjax.util.geometry import TINY, angle, inner
-
-Vector = Sequence[Array]
-"""Vector by components: interleaved they keep the CPU's vector units half empty."""
+from hyjax.util.geometry import TINY, Components, angle, cross_product, inner
 
 
-def polygon_form_factor(corners: Sequence[Vector], n: Vector) -> Float[Array, "*s"]:
+def polygon_form_factor(corners: Sequence[Components], n: Components) -> Float[Array, "*s"]:
     """Form factor of a convex polygon for a surface point with unit normal n.
 
     F = 1/(2π) Σ θ_i Γ_i·n over the edges of the polygon clipped to the horizon plane (Lambert 1760; Baum, Rushmeier
@@ -47,14 +44,14 @@ def polygon_form_factor(corners: Sequence[Vector], n: Vector) -> Float[Array, "*
     return jnp.abs(total) / (2 * jnp.pi)
 
 
-def _where(condition: Bool[Array, "*s"], a: Vector, b: Sequence[Any]) -> list[Array]:
+def _where(condition: Bool[Array, "*s"], a: Components, b: Sequence[Any]) -> list[Array]:
     return [jnp.where(condition, x, y) for x, y in zip(a, b, strict=True)]
 
 
-def _edge_integral(a: Vector, b: Vector, n: Vector, valid: Bool[Array, "*s"]) -> Float[Array, "*s"]:
+def _edge_integral(a: Components, b: Components, n: Components, valid: Bool[Array, "*s"]) -> Float[Array, "*s"]:
     """Angle subtended by edge a→b, times the component along n of its plane's unit normal."""
     # Invalid edges get harmless stand-ins, so that neither values nor gradients turn NaN.
     a, b = _where(valid, a, (1.0, 0.0, 0.0)), _where(valid, b, (0.0, 1.0, 0.0))
-    normal = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    normal = cross_product(a, b)
     sine = jnp.sqrt(inner(normal, normal) + TINY**2)
     return angle(sine, inner(a, b)) * inner(normal, n) / sine

@@ -14,7 +14,7 @@ from hyjax.light.kinds.file_keys import LUMINOUS_FLUX, plain
 from hyjax.light.kinds.polygon import polygon_form_factor
 from hyjax.light.kinds.shadow_views import HEMISPHERE, RadialViews
 from hyjax.util.arguments import checked_arguments
-from hyjax.util.geometry import cross, dot, inner
+from hyjax.util.geometry import components, cross, dot, inner
 from hyjax.util.vectors import orthonormal_frame, r2_sequence
 
 WINDOW_VIEWS = 16
@@ -54,8 +54,9 @@ class RectLight(Light):
         area = 4.0 * jnp.sqrt(dot(normal, normal))
         corners = [self.center + s * self.right + t * self.up for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
         in_front = dot(p - self.center, normal) > 0
-        sides = [[c[k] - p[..., k] for k in range(3)] for c in corners]
-        form_factor = polygon_form_factor(sides, [n[..., k] for k in range(3)])
+        place = components(p)
+        seen = [[c[k] - place[k] for k in range(3)] for c in corners]
+        form_factor = polygon_form_factor(seen, components(n))
         # E = π L F with L = Φ/(π A)
         return jnp.where(in_front, form_factor, 0.0) * (self.luminous_flux / area)
 
