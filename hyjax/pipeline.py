@@ -174,12 +174,8 @@ def relight_stages(
     visibility = run(*shadow_call)
     yield "shadow pass", visibility
     if light_edges is not None and shaded.photo_light is not None and shaded.refined_photo_light is None:
-        own = run(with_light_edges, illuminance, view, light_edges)
-        yield "light edges", own
-        if temporal_filter is None:
-            shaded = dataclasses.replace(shaded, refined_photo_light=own)
-        else:  # which steadies all channels alike
-            illuminance = run(_joined, illuminance[..., :-3], own)
+        illuminance = run(with_light_edges, illuminance, view, light_edges)
+        yield "light edges", illuminance
     if temporal_filter is not None:
         illuminance, visibility = temporal_filter(illuminance, visibility)
         yield "temporal filter", (illuminance, visibility)

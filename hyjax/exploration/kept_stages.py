@@ -36,10 +36,11 @@ class KeptStages:
             made_from = dataclasses.replace(shaded, colors=None), *rest  # no cascade takes colours
             return self._of(function, made_from, lambda: run_kept(function, *arrays, **static))
         if function is with_light_edges and self._draft:
-            illuminance, *rest = arrays
+            light, *rest = arrays
             view, weights = rest
-            own = own_light(illuminance)
-            return sharpened(own, self._of(function, rest, lambda: edge_correction(view, own, weights)))
+            return sharpened(
+                light, self._of(function, rest, lambda: edge_correction(view, own_light(light), weights))
+            )
         return run_kept(function, *arrays, **static)
 
     def _of(self, function: Any, arrays: Any, make: Callable[[], Any]) -> Any:

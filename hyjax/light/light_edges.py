@@ -18,6 +18,7 @@ from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.core.finite import finite_or_zero
@@ -37,7 +38,8 @@ Weights = Mapping[str, Float[Array, "..."]]
 FIDELITY = 4e-3
 """α: differences of the photo count over some 16 pixels, beyond which the estimate does."""
 LONGEST_SIDE = 180
-"""Usual longest side, in pixels, of what the network sees: pictures are pooled by the nearest whole factor."""
+"""Usual longest side, in pixels, of what the network sees: pictures are pooled by the whole factor that comes
+nearest to it, as a ratio."""
 STRENGTH = 0.5
 """Share of the correction that is taken: the better of 0.5 and 1 on the real pair Piano."""
 LEAST_LIGHT = 2e-3
@@ -53,10 +55,9 @@ FEATURES = 12
 
 
 @jax.jit
-def with_light_edges(illuminance: Float[Array, "h w c"], view: View, weights: Weights) -> Float[Array, "h w 3"]:
-    """The photo's own light, the last three channels of refined light, as the photo's light edges sharpen it."""
-    own = own_light(illuminance)
-    return sharpened(own, edge_correction(view, own, weights))
+def with_light_edges(illuminance: Float[Array, "h w c"], view: View, weights: Weights) -> Float[Array, "h w c"]:
+    """Refined light whose last three channels, the photo's own light, follow the photo's light edges."""
+    return sharpened(illuminance, edge_correction(view, own_light(illuminance), weights))
 
 
 def own_light(illuminance: Float[Array, "h w c"]) -> Float[Array, "h w 3"]:
@@ -65,9 +66,11 @@ def own_light(illuminance: Float[Array, "h w c"]) -> Float[Array, "h w 3"]:
 
 
 @jax.jit
-def sharpened(own: Float[Array, "h w 3"], correction: Float[Array, "h w 1"]) -> Float[Array, "h w 3"]:
-    """The photo's own light times exp c, see `edge_correction`."""
-    return own * jnp.exp(correction)
+def sharpened(illuminance: Float[Array, "h w c"], correction: Float[Array, "h w 1"]) -> Float[Array, "h w c"]:
+    """Refined light, of which the photo's own is multiplied by exp c, see `edge_correction`."""
+    # Chosen by channel: XLA's CPU backend takes longer to join parts of the channels.
+    own = np.arange(illuminance.shape[-1]) >= illuminance.shape[-1] - 3
+    return jnp.where(own, jnp.maximum(illuminance, LEAST_PHOTO_LIGHT) * jnp.exp(correction), illuminance)
 
 
 @jax.jit
@@ -87,10 +90,10 @@ def edge_correction(view: View, light: Float[Array, "h w 3"], weights: Weights) 
     if not fit or any(weights[f"{x}.bias"].shape != weights[f"{x}.kernel"].shape[-1:] for x in layers):
         raise InputError(OTHER_WEIGHTS)
     shape = view.frame.shape[:2]
-    factor = max(1, round(max(shape) / LONGEST_SIDE))
+    factor = _pooling(max(shape))
     buffer = view.gbuffer
     normal, depth, hit = (x[::factor, ::factor] for x in (buffer.normal, buffer.depth, buffer.hit))
-    turned = mix_channels(normal, jnp.asarray(view.pose)[:3, :3])  # XLA multiplies so small matrices slowly
+    turned = mix_channels(normal, jnp.asarray(view.pose)[:3, :3])  # n R; XLA is slow with so small matrices
     normal = jnp.where(hit[..., None], turned, 0.0)
     depth = jnp.where(hit, depth, 1.0)
     frame, light = (downsample(x, factor) for x in (finite_or_zero(view.frame), light))
@@ -103,6 +106,12 @@ def edge_correction(view: View, light: Float[Array, "h w 3"], weights: Weights) 
     correction = STRENGTH * corrected(jnp.mean(log_frame, axis=-1), log_light, shares)
     # Under the frame, as a cascade's last level is: a blur of it across a border would be a halo.
     return guided_upsample(correction[..., None], factor, view.display, GUIDED_KAPPA)
+
+
+def _pooling(longest: int) -> int:
+    """Factor by which a picture is pooled for the network, by its longest side."""
+    factor = max(1, longest // LONGEST_SIDE)
+    return factor + 1 if longest**2 > factor * (factor + 1) * LONGEST_SIDE**2 else factor
 
 
 def corrected(

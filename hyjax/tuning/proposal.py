@@ -70,8 +70,7 @@ class FrameObjective(Objective):
         def relaxed(_: Array, visibility: Array) -> tuple[Array, Array]:
             illuminance = relaxed_channels(prepared, point, self.factors)
             if lit.light_edges is not None and lit.shaded.photo_light is not None:
-                own = with_light_edges(illuminance, lit.view, lit.light_edges)
-                illuminance = jnp.concatenate([illuminance[..., :-3], own], axis=-1)
+                illuminance = with_light_edges(illuminance, lit.view, lit.light_edges)
             return illuminance, visibility
 
         stages = refine(lit, self.configuration, temporal_filter=relaxed)
