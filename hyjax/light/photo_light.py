@@ -119,11 +119,16 @@ def _bounced(
         jnp.ones((1, transport.position.shape[0]), bool),
     )
     channels = (shade_each(points, lights) * visibilities(points, lights, shadow_maps))[0]
-    # Each light's bounces by themselves: so lights add up although outliers are held back.
-    direct = jnp.concatenate([channels[:, k, None] * light.color for k, light in enumerate(lights)], axis=-1)
-    each = without_outliers(bounce(transport, photo.albedo, direct)[: transport.vertices], transport.faces)
-    bounced = functools.reduce(jnp.add, [each[:, 3 * k : 3 * k + 3] for k in range(len(lights))])
-    return jnp.maximum(bounced, least)
+    direct = channels[..., None] * jnp.stack([light.color for light in lights])
+    bounced = bounce(transport, photo.albedo, direct.reshape(len(direct), -1))[: transport.vertices]
+
+    def add(total: Float[Array, "v 3"], each: Float[Array, "v 3"]) -> tuple[Float[Array, "v 3"], None]:
+        return total + without_outliers(each, transport.faces), None
+
+    # Outliers are held back for each light alone, so that lights add up.
+    each = jnp.moveaxis(bounced.reshape(transport.vertices, len(lights), 3), 1, 0)
+    total, _ = jax.lax.scan(add, jnp.zeros_like(each[0]), each)
+    return jnp.maximum(total, least)
 
 
 @jax.tree_util.register_dataclass

@@ -187,6 +187,18 @@ def test_bounced_light_is_linear_in_the_lamp(closed: Transport) -> None:
     assert float(jnp.mean(once)) == pytest.approx(500 / area, rel=0.2)
 
 
+def test_bounced_light_of_lamps_adds_up_though_outliers_are_held_back(closed: Transport) -> None:
+    """A lamp close to a wall makes single vertices stand out, which even light of another lamp would hide."""
+    even = jnp.ones((closed.vertices, 3))
+    albedo = jnp.asarray(np.random.default_rng(4).uniform(0.0, 0.9, (closed.position.shape[0], 3)), jnp.float32)
+    photo = PhotoLight(even, even[None], jnp.ones(3), albedo, closed)
+    corner = np.abs(closed.position[: closed.vertices]).max(axis=0) * 0.9
+    near = PointLight(jnp.asarray(corner, jnp.float32), jnp.float32(300.0), jnp.array([1.0, 0.5, 0.2]))
+    far = PointLight(jnp.zeros(3), jnp.float32(3000.0), jnp.ones(3))
+    alone = bounced_light(photo, [near]), bounced_light(photo, [far])
+    np.testing.assert_allclose(bounced_light(photo, [near, far]), alone[0] + alone[1], rtol=1e-5)
+
+
 def test_vertex_values_are_interpolated_and_holes_are_zero() -> None:
     values, faces = jnp.asarray([[0.0], [1.0], [2.0]]), jnp.asarray([[0, 1, 2]])
     weights = jnp.asarray([[[0.5, 0.25, 0.25], [1.0, 0.0, 0.0]]])
