@@ -18,8 +18,8 @@ there are cores. *CPU* is time of all cores together, which other work on the ma
 Takes three minutes on two cores without the last four. `--guard` makes the process fail where a ratio within the
 run is beyond its limit.
 
-Expect: thirty frames a second and more on two idle cores, twenty on one; the same time a pixel at all sizes; and
-the same PSNR, to a hundredth of a decibel, as with light at every pixel.
+Expect: a dozen to thirty frames a second on two idle cores, by the machine; less time a pixel in larger pictures;
+and the same PSNR, to a hundredth of a decibel, as with light at every pixel.
 """
 
 import dataclasses

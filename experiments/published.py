@@ -127,7 +127,7 @@ TABLES: dict[str, Published] = {
         "frame_rate_sizes",
         2,
         ("frames/s", "CPU ms a frame"),
-        caption="Frames of the built-in room, two cores of a virtual machine that had other work.",
+        caption="Frames of the built-in room, two cores of a virtual machine.",
     ),
     "frame-rate-large": Published("frame_rate_large", 3),
     "frame-rate-long": Published("frame_rate_long", 3),
