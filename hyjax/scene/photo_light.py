@@ -37,7 +37,7 @@ FRAME_COUNT = 24
 """Number of frames, spread over the capture, for the estimate of the photo's light."""
 PANE_FRAMES, PANE_WIDTH = 12, 320
 """Number of frames for the means of panes, and their longer side in pixels."""
-VERSION = 26
+VERSION = 27
 """Version of sources and estimate. Add one when either changes."""
 _log = logging.getLogger(__name__)
 _Stored = tuple[Estimate, Float[np.ndarray, "n 3"]]

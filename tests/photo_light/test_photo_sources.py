@@ -8,6 +8,7 @@ import pytest
 
 from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.geometry.raycast import RayCaster
+from hyjax.photo_light import source_search
 from hyjax.photo_light.hints import hinted_sources, is_lit, shows_light
 from hyjax.photo_light.source_search import find_photo_sources, search_sources
 from hyjax.photo_light.sources import LAMP_RADIUS, PhotoSources, PhotoWindow
@@ -46,6 +47,16 @@ def test_the_window_is_found_without_hints(room: RoomCapture, scene: Scene) -> N
     assert 2 * np.linalg.norm(windows[0].up) == pytest.approx(truth["height"], abs=0.25)
     np.testing.assert_allclose(windows[0].normal, truth["normal"], atol=0.05)
     np.testing.assert_allclose(np.cross(windows[0].right, windows[0].up) @ windows[0].normal > 0, True)
+
+
+@pytest.mark.parametrize("scanned", [True, False])
+def test_a_window_has_some_wall_around(scanned: bool) -> None:
+    """Or it is sunlit ground behind an open place."""
+    hole = np.zeros((60, 60), bool)
+    hole[20:45, 10:40] = True
+    wall = ~hole & scanned & (np.arange(60)[:, None] < 30)
+    found = source_search._rectangles(hole, hole, hole, wall, np.where(wall, 0.5, np.nan))
+    assert found == [(20, 44, 10, 39)] * scanned
 
 
 def test_hints_come_before_the_search_and_dark_lamps_are_left_out(scene: Scene) -> None:
