@@ -83,16 +83,19 @@ def exposed(
         if (reference, *sun) == before:
             break
 
-    ambient = exposure.ambient
+    ambient, burning = exposure.ambient, 1.0
     if response.measured:
         direct = (lux * sun * pale)[:, near | parallel].sum(axis=1) / reference
         bounced = (response.near + float(sun[parallel].min(initial=1.0)) * response.parallel) / reference
         ambient = _least_ambient(setup, direct, bounced, seen, exposure, response)
+        # Ambient light lifts what was just not burnt out; with it, everything is exposed for less.
+        white = (lux * pale)[:, near].sum(axis=1) / reference + np.maximum(bounced, ambient * response.filled_share)
+        burning = max(_least_unburnt(white, seen, response), 1.0)
     lights: list[Any] = list(setup.lights)
     for number, light in enumerate(lights):
         strength = ambient * reference if light.UNIFORM else sun[number] * strengths[number]
         lights[number] = dataclasses.replace(light, **{light.STRENGTH: float(strength)})
-    return LightSetup(tuple(lights), reference)
+    return LightSetup(tuple(lights), burning * reference)
 
 
 def bounded(setup: LightSetup, lux: Float[np.ndarray, "n l"], seen: SeenSurface, response: Response) -> LightSetup:

@@ -29,6 +29,8 @@ SUN_TANGENTS = (0.35, -0.35, 0.0, 0.7, -0.7, 1.2, -1.2)
 """Tangents of candidate angles between the sun's direction and the first window's normal, the default first."""
 LEAST_SUNLIT_SHARE = 0.02
 """Least sunlit share of the surface in a picture for the sun to count as shown."""
+LEAST_SUN_COSINE = 0.3
+"""Least cosine of the sun's angle of incidence where a surface counts as sunlit: a grazing sun hardly shows."""
 ENOUGH_SUNLIT_RATIO = 0.6
 """Number of pictures with sun, over that of the best sun, from which the more usual sun is kept."""
 MOST_SUNS = 3
@@ -217,11 +219,12 @@ def _sun(
 def _sunlit(anchors: LightAnchors, travel: Vector) -> tuple[int, list[tuple[float, WindowPlace]]]:
     """Number of pictures that show parallel light along `travel`, and windows with the share that it lights."""
     seen, shares = anchors.seen, list[tuple[float, WindowPlace]]()
-    every = seen.reached_along(travel) if anchors.open_sky else np.zeros(len(seen.points), bool)
+    facing = seen.normals @ travel < -LEAST_SUN_COSINE
+    every = facing & seen.reached_along(travel) if anchors.open_sky else np.zeros(len(seen.points), bool)
     for window in () if anchors.open_sky else anchors.windows:
         if travel @ window.inward < 0.1:
             continue
-        lit = seen.reached_through(window.opening(anchors.up), travel)
+        lit = facing & seen.reached_through(window.opening(anchors.up), travel)
         every |= lit
         shares.append((float(lit.mean()), window))
     pictures = [every[seen.camera == camera].mean() >= LEAST_SUNLIT_SHARE for camera in np.unique(seen.camera)]

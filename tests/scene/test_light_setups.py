@@ -425,6 +425,32 @@ def test_white_walls_take_less_light_than_dark_ones(name: str, box: RayCaster) -
     assert relit(20.0)[0] == pytest.approx(relit(1.0)[0]), "what the photo itself burns out may stay so"
 
 
+@pytest.mark.parametrize("photo_value", [0.3, 0.95])
+def test_ambient_light_burns_no_white_wall_out(photo_value: float, box: RayCaster) -> None:
+    """A third of each picture is a white wall in the window's light; the rest gets nothing but ambient light."""
+    stage = survey(box, BOX_CAMERAS[:1], UP)
+    raw, seen, exposure = SETUPS["noon-window"](stage), stage.seen, EXPOSURES["noon-window"]
+    near, _ = kinds_of(raw.lights)
+    third, none = np.arange(len(seen.points)) % 3 == 0, np.zeros(len(seen.points))
+    lux = np.where(near[None] & third[:, None], 100.0, 0.0)
+    response = Response(none + 1.0, none, none, 0.5, photo_value=none + photo_value)
+    setup = exposed(raw, lux, seen, exposure, response)
+    fill = sum(0.5 * float(light.illuminance) for light in setup.lights if light.UNIFORM)
+    light = ((lux * paleness(raw.lights))[:, near].sum(axis=1) + fill) / float(setup.reference_lux)
+    brightest = seen.of_cameras(photo_value * light, 0.9)[0]
+    assert brightest < 1.01
+    if photo_value < 0.5:  # nothing burns: the exposure is kept
+        assert np.median(seen.of_cameras(light)) > 0.8 * exposure.share
+
+
+def test_a_grazing_sun_is_turned_to_where_it_shows() -> None:
+    """On level ground alone a usual low sun would hardly be seen."""
+    anchors = survey(RayCaster(PATIO), PATIO_CAMERAS, UP)
+    ground = dataclasses.replace(anchors, seen=anchors.seen.chosen(anchors.seen.normals @ UP > 0.9))
+    (sun,) = (light for light in SETUPS["golden-hour"](ground).lights if isinstance(light, DirectionalLight))
+    assert -np.asarray(sun.direction) @ UP > 0.3
+
+
 @pytest.mark.parametrize("name", EXPOSURES)
 def test_rounding_decides_nothing_of_an_exposure(name: str, box: RayCaster) -> None:
     """The median picture mostly has just its share: lights a millionth stronger are exposed alike."""
