@@ -9,7 +9,7 @@ their burnt-out parts share (`glowing_places`).
 
 import dataclasses
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +45,10 @@ LEAST_OPEN_SHARE = 0.1
 LEAST_WALL_SHARE = 0.1
 """Least scanned share of the wall close around a window. Sunlit ground behind an open place has none; windows that
 are found in seven generated rooms have 0.27 and more."""
+LEAST_WALL_OF_BURNT = 0.4
+"""The same of a burnt-out part of a hole, which without a wall around is any part of what was not scanned."""
+MOST_GROWN, GROWN_SHARE = 5, 0.8
+"""Most cells that a burnt-out part grows by at each side, and least share of such a line that is a hole."""
 LARGEST_ASPECT = 10
 """Largest ratio of a window's sides; a longer patch is a sunlit strip of ground."""
 _log = logging.getLogger(__name__)
@@ -161,34 +165,75 @@ def _rectangles(
     wall: Bool[np.ndarray, "a b"],
     brightness: Float[np.ndarray, "a b"],
 ) -> list[tuple[int, int, int, int]]:
-    """Rectangles of window cells: first and last row, first and last column."""
-    closed = ndimage.binary_closing(np.pad(mask, 3), np.ones((3, 3)))[3:-3, 3:-3]
+    """Rectangles of window cells: first and last row, first and last column.
+
+    A hole may be larger than the window in it, and what is burnt out smaller: of both, what has more wall around.
+    """
+    found: list[tuple[float, tuple[int, int, int, int]]] = []
+    for cells, least_wall in ((mask, LEAST_WALL_SHARE), (mask & burnt, LEAST_WALL_OF_BURNT)):
+        for part in _connected(cells):
+            spans = []
+            for axis in (1, 0):
+                profile = part.sum(axis=axis)
+                lines = np.flatnonzero(profile >= 0.5 * np.quantile(profile[profile > 0], 0.9))
+                spans += [int(lines[0]), int(lines[-1])]
+            if cells is not mask:
+                spans = _grown(spans, mask)
+            inside = np.s_[spans[0] : spans[1] + 1, spans[2] : spans[3] + 1]
+            area = part[inside].size * CELL_SIDE**2
+            if area < LEAST_AREA or part[inside].mean() < 0.6 or burnt[inside].mean() < 0.25:
+                continue
+            sides = sorted((spans[1] - spans[0], spans[3] - spans[2]))
+            if sides[0] * CELL_SIDE < 0.25 or sides[1] > LARGEST_ASPECT * sides[0]:
+                continue
+            around = _rim(part.shape, inside)
+            wall_share = float(wall[around].mean()) if around.any() else 0.0
+            open_share = hole[inside].mean()
+            if wall_share < least_wall or open_share < LEAST_OPEN_SHARE:
+                continue
+            if open_share >= 0.3 or _stands_out(brightness[around], area):
+                found.append((wall_share, (spans[0], spans[1], spans[2], spans[3])))
+    found.sort(key=lambda one: -one[0])
+    kept: list[tuple[int, int, int, int]] = []
+    for _, rectangle in found:
+        if not any(_overlap(rectangle, other) for other in kept):
+            kept.append(rectangle)
+    return kept
+
+
+def _grown(spans: list[int], mask: Bool[np.ndarray, "a b"]) -> list[int]:
+    """Rectangle with the rows and columns beside it that are holes, too."""
+    spans, ends = [*spans], (0, mask.shape[0] - 1, 0, mask.shape[1] - 1)
+    for side in range(4):
+        for _ in range(MOST_GROWN):
+            if spans[side] == ends[side]:
+                break
+            beside = spans[side] + (1 if side % 2 else -1)
+            line = mask[beside, spans[2] : spans[3] + 1] if side < 2 else mask[spans[0] : spans[1] + 1, beside]
+            if line.mean() < GROWN_SHARE:
+                break
+            spans[side] = beside
+    return spans
+
+
+def _connected(cells: Bool[np.ndarray, "a b"]) -> Iterator[Bool[np.ndarray, "a b"]]:
+    """Connected parts of some size, small gaps closed and thin bridges cut."""
+    closed = ndimage.binary_closing(np.pad(cells, 3), np.ones((3, 3)))[3:-3, 3:-3]
     labels, number = ndimage.label(ndimage.binary_opening(closed, np.ones((3, 3))))
-    found = []
-    for k in range(1, number + 1):
-        part = labels == k
-        if part.sum() * CELL_SIDE**2 < LEAST_AREA:
-            continue
-        spans = []
-        for axis in (1, 0):
-            profile = part.sum(axis=axis)
-            lines = np.flatnonzero(profile >= 0.5 * np.quantile(profile[profile > 0], 0.9))
-            spans += [int(lines[0]), int(lines[-1])]
-        inside = np.s_[spans[0] : spans[1] + 1, spans[2] : spans[3] + 1]
-        area = part[inside].size * CELL_SIDE**2
-        if area < LEAST_AREA or part[inside].mean() < 0.6 or burnt[inside].mean() < 0.25:
-            continue
-        sides = sorted((spans[1] - spans[0], spans[3] - spans[2]))
-        if sides[0] * CELL_SIDE < 0.25 or sides[1] > LARGEST_ASPECT * sides[0]:
-            continue
-        around = ndimage.binary_dilation(part, iterations=5) & ~ndimage.binary_dilation(part, iterations=2)
-        if not around.any() or wall[around].mean() < LEAST_WALL_SHARE:
-            continue
-        open_share = hole[inside].mean()
-        if open_share < LEAST_OPEN_SHARE or (open_share < 0.3 and not _stands_out(brightness[around], area)):
-            continue
-        found.append((spans[0], spans[1], spans[2], spans[3]))
-    return found
+    parts = (labels == k for k in range(1, number + 1))
+    return (part for part in parts if part.sum() * CELL_SIDE**2 >= LEAST_AREA)
+
+
+def _rim(shape: tuple[int, int], inside: tuple[slice, slice]) -> Bool[np.ndarray, "a b"]:
+    """Mask of the cells close around a rectangle."""
+    whole = np.zeros(shape, bool)
+    whole[inside] = True
+    return ndimage.binary_dilation(whole, iterations=5) & ~ndimage.binary_dilation(whole, iterations=2)
+
+
+def _overlap(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> bool:
+    """Whether two rectangles share cells."""
+    return a[0] <= b[1] and b[0] <= a[1] and a[2] <= b[3] and b[2] <= a[3]
 
 
 def _stands_out(around: Float[np.ndarray, "n"], area: float) -> bool:

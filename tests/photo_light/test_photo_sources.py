@@ -59,6 +59,20 @@ def test_a_window_has_some_wall_around(scanned: bool) -> None:
     assert found == [(20, 44, 10, 39)] * scanned
 
 
+def test_a_window_is_what_is_burnt_out_of_a_larger_hole() -> None:
+    """Its hole runs into what was not scanned above it."""
+    hole = np.zeros((80, 60), bool)
+    hole[20:45, 10:40] = True
+    wall, burnt = ~hole, hole.copy()
+    hole[:, 36:] = True
+    found = source_search._rectangles(hole, hole, burnt, wall & ~hole, np.full(hole.shape, 0.5))
+    assert found == [(20, 44, 10, 39 + source_search.MOST_GROWN)], "a little more than is burnt out"
+    burnt[:, 10:25] = False  # a dark garden below the sky
+    wall[:, 36:] = True
+    hole &= ~wall
+    assert source_search._rectangles(hole, hole, burnt, wall, np.full(hole.shape, 0.5)) == [(20, 44, 10, 35)]
+
+
 def test_hints_come_before_the_search_and_dark_lamps_are_left_out(scene: Scene) -> None:
     sources = find(scene)
     assert sources.origin == "capture" and [w.name for w in sources.windows] == ["window-1"]
