@@ -30,6 +30,8 @@ SOURCE_RADIUS = 0.1
 """Distance from a source, in metres, within which a new light makes it shine."""
 LAMP_DARK, LAMP_BRIGHT = 0.75, 0.95
 """Linear values of the photo between which a pixel of a lamp begins to shine."""
+RIM_WIDTH = 640
+"""Width of a picture, in pixels, for each pixel of a lamp's rim."""
 BORDER_WIDTH = 0.05
 """Width, in metres, of the soft border around a source."""
 
@@ -203,13 +205,17 @@ def source_pixels(
     weight, pattern = jnp.zeros(depth.shape), jnp.ones((*depth.shape, 3))
     source = jnp.full(depth.shape, -1)
     shares = list(pane_shares(emitters.panes, emitters.pane_means, frame, gbuffer, pose, intrinsics))
+    # A lamp's rim is mixed with what lies behind it, and would stay as a bright ring.
+    brightness, rim = jnp.min(frame, axis=-1), 2 * -(-frame.shape[1] // RIM_WIDTH) + 1
+    for window in ((rim, 1), (1, rim)):
+        brightness = jax.lax.reduce_window(brightness, -jnp.inf, jax.lax.max, window, (1, 1), "SAME")
     for *place, radius in emitters.lamps:
         toward = jnp.stack(place) - pose[:3, 3]
         along = dot(toward, ray) / dot(ray, ray)
         away = jnp.sqrt(jnp.maximum(dot(toward, toward) - along**2 * dot(ray, ray), 1e-12))
         cover = jnp.clip((1.5 * radius - away) / (pixel * jnp.maximum(along, 1e-3)) + 0.5, 0.0, 1.0)
         cover *= (along > 0) & (depth > along - 2 * radius - PANE_SLACK)
-        shares.append(cover * ramp(jnp.min(frame, axis=-1), LAMP_DARK, LAMP_BRIGHT))
+        shares.append(cover * ramp(brightness, LAMP_DARK, LAMP_BRIGHT))
     for k, share in enumerate(shares):
         shown = jnp.ones(3)
         if k < len(emitters.panes):

@@ -152,6 +152,15 @@ def surface_light(photo: float, bounced: float, source: Emitters | None = None) 
     return SurfaceLight(jnp.full((3, 3), photo), jnp.full((3, 3), bounced), faces, source)
 
 
+def test_a_lamps_rim_goes_out_with_it() -> None:
+    """Its pixels are mixed with what lies behind, and less bright."""
+    source = emitters(np.zeros((1, 3)), panes=np.zeros((0, 3, 3)), lamps=np.array([[2.0, 0.0, 0.0, 0.5]]))
+    photo = np.full((24, 32, 3), 0.1, np.float32)
+    photo[9:16, 13:20], photo[10:15, 14:19] = 0.6, 1.0
+    weight = np.asarray(found(source, jnp.asarray(photo), wall(2.0)).weight)[..., 0]
+    assert weight[9:16, 13:20].min() == 1.0 and weight[7, 16] == weight[12, 10] == 0.0
+
+
 @pytest.mark.parametrize(("bright", "is_lamp"), [(0.77, False), (1.0, True)])
 def test_before_a_pane_a_lamp_has_the_pixels_that_are_more_its_own(bright: float, is_lamp: bool) -> None:
     frame, sent = jnp.full((*LENS.shape, 3), bright), np.array([[2.0] * 3, [0.0] * 3])
