@@ -32,6 +32,7 @@ from hyjax.data.phone_captures import (
 from hyjax.data.recording import Recording, Shot
 
 FRAME_FILE = re.compile(r"frame_(\d+)\.json")
+PICTURE_FILE = re.compile(r"frame_(\d+)\.jpg")
 MESH = "export.obj"
 POOR_MOTION = 0.7
 """The app's `motionQuality` below which the phone moved so fast that pictures are blurred; 1 is at rest."""
@@ -49,6 +50,9 @@ def open_scanner3d(tree: FileTree) -> Recording:
     """
     scan = PhoneScan(tree)
     moments = {match[1]: name for name in tree.below("") if (match := FRAME_FILE.fullmatch(name))}
+    for name in tree.below(""):
+        if (match := PICTURE_FILE.fullmatch(name)) and match[1] not in moments:
+            scan.remarks.add("pictures have no pose and are left out", name)
     pictures = {
         number: picture
         for number in moments

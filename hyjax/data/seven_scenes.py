@@ -36,31 +36,40 @@ def is_seven_scenes(tree: FileTree) -> bool:
 def open_seven_scenes(tree: FileTree) -> Recording:
     """Open files in the 7-Scenes layout. Poses are read and checked now, pictures when asked for.
 
-    Frames come in order of number. Gaps in the numbering are fine. Frames whose picture is damaged are left out.
+    Frames come in order of number. Gaps in the numbering are fine. Frames whose picture is damaged, or
+    whose pose is damaged or missing, are left out.
     """
     colours = _numbered_colours(tree)
-    has_depth = _check_companions(tree, colours)
-    whole = {number: name for number, name in colours.items() if looks_whole(tree, name)}
+    has_depth = any(_companion(name, "depth.png") in tree for name in colours.values())
     faults = Tally()
+    read = {number: _read_pose(tree, name, faults) for number, name in colours.items()}
+    poses = {number: pose for number, pose in read.items() if pose is not None}
+    usable: dict[int, str] = {}
     for number, name in colours.items():
-        if number not in whole:
+        if not looks_whole(tree, name):
             faults.add(f"of {len(colours)} pictures are damaged and left out", name)
-    if not whole:
-        raise InputError(f"{tree.path}: none of {len(colours)} pictures can be read; {faults.lines()[0]}")
+        elif number in poses:
+            usable[number] = name
+    if not usable:
+        raise InputError(f"{tree.path}: none of {len(colours)} pictures can be used; {'; '.join(faults.lines())}")
     remarks: list[str] = []
-    intrinsics = read_intrinsics(tree, tree_shape(tree, next(iter(whole.values()))), remarks)
-    shots = [
-        Shot(
-            f"frame-{number:06d}",
-            number / FRAMES_PER_SECOND,
-            _read_pose(tree, _companion(name, "pose.txt")),
-            intrinsics,
-            functools.partial(tree_colour, tree, name),
-            depth_reader(tree, _companion(name, "depth.png")) if has_depth else None,
-            depth_intrinsics=intrinsics,
+    intrinsics = read_intrinsics(tree, tree_shape(tree, next(iter(usable.values()))), remarks)
+    shots = []
+    for number, name in usable.items():
+        depth = _companion(name, "depth.png")
+        if has_depth and depth not in tree:
+            faults.add("pictures have no depth map", name)
+        shots.append(
+            Shot(
+                f"frame-{number:06d}",
+                number / FRAMES_PER_SECOND,
+                poses[number],
+                intrinsics,
+                functools.partial(tree_colour, tree, name),
+                depth_reader(tree, depth) if depth in tree else None,
+                depth_intrinsics=intrinsics,
+            )
         )
-        for number, name in whole.items()
-    ]
     up, told = read_up(tree), faults.lines()
     return Recording(tree, shots, up=up, faults=told, remarks=remarks, turn=False, times_known=False)
 
@@ -83,20 +92,19 @@ def _companion(colour: str, suffix: str) -> str:
     return f"{colour.split('.')[0]}.{suffix}"
 
 
-def _check_companions(tree: FileTree, colours: dict[int, str]) -> bool:
-    """Whether the capture has depth: all frames or none. Every frame must have a pose."""
-    with_depth = [_companion(colour, "depth.png") in tree for colour in colours.values()]
-    for colour, has_depth in zip(colours.values(), with_depth):
-        needed = ["pose.txt"] + (["depth.png"] if any(with_depth) and not has_depth else [])
-        for suffix in needed:
-            if (name := _companion(colour, suffix)) not in tree:
-                raise InputError(f"{tree.where(name)}: missing; {colour} needs it (or remove that frame)")
-    return all(with_depth)
-
-
-def _read_pose(tree: FileTree, name: str) -> Float[np.ndarray, "4 4"]:
-    pose = tree_numbers(tree, name, (4, 4))
-    check_pose(pose, where=tree.where(name))
+def _read_pose(tree: FileTree, colour: str, faults: Tally) -> Float[np.ndarray, "4 4"] | None:
+    """Pose of a picture; None, with a fault, if there is none."""
+    name = _companion(colour, "pose.txt")
+    if name not in tree:
+        faults.add("pictures have no pose and are left out", colour)
+        return None
+    try:
+        pose = tree_numbers(tree, name, (4, 4))
+        check_pose(pose, where=tree.where(name))
+    except InputError as error:
+        reason = str(error).removeprefix(f"{tree.where(name)}: ")
+        faults.add("poses cannot be used, their pictures are left out", f"{name}: {reason}")
+        return None
     return pose
 
 

@@ -24,6 +24,8 @@ HEIGHT_STEP, HEIGHT_SLACK = 0.02, 0.3
 SAME_PLACE = 0.15
 """Largest distance, in metres, between sightings of one lamp."""
 FEWEST_FRAMES = 2
+BASELINE = 0.2
+"""Least distance, in metres, between two cameras whose rays are crossed."""
 LEAST_RADIUS, LARGEST_RADIUS = 0.03, 0.35
 """Least and largest radius of a lamp, in metres; smaller ones are taken as of the least."""
 
@@ -66,7 +68,7 @@ def ceiling_lamps(
         t = (height - origin @ up) / (ray @ up)
         near = np.flatnonzero((t > 0.3) & (t < FARTHEST_LAMP))
         place = origin[near] + t[near, None] * ray[near]
-        found, score = _clusters(place, place @ level.T, number[near], size[near] * t[near])
+        found, score = _clusters(place, place @ level.T, origin[near], size[near] * t[near])
         if score > best[0]:
             best = score, found
     return best[1]
@@ -75,21 +77,27 @@ def ceiling_lamps(
 def _clusters(
     place: Float[np.ndarray, "n 3"],
     level: Float[np.ndarray, "n 2"],
-    frame: np.ndarray,
+    origin: Float[np.ndarray, "n 3"],
     radius: Float[np.ndarray, "n"],
 ) -> tuple[list[tuple[Vector, float]], float]:
     """Lamps that several frames place alike, and how well they do: pairs weigh more the nearer they are."""
     left, found, score = np.ones(len(place), bool), [], 0.0
     distance = np.linalg.norm(level[:, None] - level[None], axis=-1)
     alike = (distance < SAME_PLACE) & (radius[:, None] < 3 * radius[None]) & (radius[None] < 3 * radius[:, None])
-    votes = np.array([len(np.unique(frame[row])) for row in alike]) if len(place) else np.zeros(0)
+    votes = np.array([_frames(origin[row]) for row in alike]) if len(place) else np.zeros(0)
     for k in np.argsort(-votes, kind="stable"):
         members = np.flatnonzero(alike[k] & left)
-        if not left[k] or len(np.unique(frame[members])) < FEWEST_FRAMES:
+        if not left[k] or _frames(origin[members]) < FEWEST_FRAMES:
             continue
         left[members] = False
         size = float(np.median(radius[members]))
-        score += float(np.sum(1.0 - distance[k, members] / SAME_PLACE)) - 1.0
+        if np.linalg.norm(origin[members] - origin[k], axis=1).max() >= BASELINE:  # nearer ones agree at any height
+            score += float(np.sum(1.0 - distance[k, members] / SAME_PLACE)) - 1.0
         if size < LARGEST_RADIUS:
             found.append((place[members].mean(axis=0), max(size, LEAST_RADIUS)))
     return found, score
+
+
+def _frames(origins: Float[np.ndarray, "n 3"]) -> int:
+    """Number of different cameras."""
+    return len(np.unique(origins, axis=0))

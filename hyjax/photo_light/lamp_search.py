@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from scipy import ndimage
 
 from hyjax.geometry.raycast import RayCaster
-from hyjax.photo_light.ceiling_lamps import Blob, ceiling_lamps, ceilings_of
+from hyjax.photo_light.ceiling_lamps import BASELINE, Blob, ceiling_lamps, ceilings_of
 from hyjax.photo_light.glowing_places import glowing_places
 from hyjax.photo_light.sightings import Box, Sighting
 from hyjax.photo_light.sources import PhotoLamp, PhotoWindow, Vector
@@ -17,8 +17,6 @@ from hyjax.util.vectors import orthonormal_frame
 FEWEST_FRAMES = 3
 FEWEST_UNSCANNED_FRAMES = 5
 """Fewest frames that must agree on a lamp outside the scan."""
-BASELINE = 0.2
-"""Least distance, in metres, between two cameras whose rays are crossed."""
 RAY_TOLERANCE = 0.1
 """Largest distance, in metres, between rays to one lamp."""
 LARGEST_RADIUS, LEAST_RADIUS = 0.35, 0.025
@@ -42,7 +40,10 @@ DARK_VALUE = 0.75
 def search_lamps(
     caster: RayCaster, sightings: Sequence[Sighting], box: Box, windows: Sequence[PhotoWindow], up: Vector
 ) -> tuple[PhotoLamp, ...]:
-    """Search for lamps on which at least three frames agree."""
+    """Search for lamps on which several frames agree; rays of cameras that hardly moved meet anywhere."""
+    origins = np.stack([s.frame.camera.origin for s in sightings])
+    if np.linalg.norm(np.ptp(origins, axis=0)) < BASELINE:
+        return ()
     blobs = [blob for number, s in enumerate(sightings) for blob in blobs_of(number, s)]
     lamps: list[PhotoLamp] = []
     for place, radius, votes in _candidates(sightings, blobs):
@@ -57,9 +58,7 @@ def search_lamps(
         if not ceiling and (is_flat(sightings, place, points) or _lies(caster, place, radius, up)):
             continue
         lamps.append(PhotoLamp("", place, radius, faces))
-    for place, radius in ceiling_lamps(
-        [s.frame.camera.origin for s in sightings], blobs, up, ceilings_of(caster, box)
-    ):
+    for place, radius in ceiling_lamps(list(origins), blobs, up, ceilings_of(caster, box)):
         if all(np.linalg.norm(lamp.position - place) > LARGEST_RADIUS for lamp in lamps):
             lamps.append(PhotoLamp("", place, radius, _surface(sightings, place, radius)[1]))
     if not lamps and not windows:

@@ -31,6 +31,14 @@ def test_moments_without_a_picture_give_their_depth_to_fusion_only(tmp_path: Pat
     assert capture.remarks == ("2 poses have no picture; their depth is used (first: frame_00001.json)",)
 
 
+def test_a_picture_without_a_pose_is_told(folder: Path) -> None:
+    (folder / "frame_00002.json").unlink()
+    capture = open_capture(folder)
+    assert (
+        len(capture) == 3 and "1 pictures have no pose and are left out (first: frame_00002.jpg)" in capture.remarks
+    )
+
+
 def test_exposures_are_told(folder: Path) -> None:
     assert [frame.exposure for frame in open_capture(folder)] == [0.0125] * 4
 

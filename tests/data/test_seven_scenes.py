@@ -101,10 +101,22 @@ def test_capture_without_depth(folder: Path) -> None:
     assert all(frame.depth is None for frame in open_capture(folder))
 
 
-@pytest.mark.parametrize("suffix", ["pose.txt", "depth.png"])
-def test_missing_companion_is_named(folder: Path, suffix: str) -> None:
-    (folder / f"frame-000004.{suffix}").unlink()
-    refuses(folder, f"frame-000004.{suffix}", "missing")
+def test_a_missing_pose_leaves_its_picture_out_and_a_missing_depth_map_does_not(folder: Path) -> None:
+    (folder / "frame-000004.pose.txt").unlink()
+    (folder / "frame-000010.depth.png").unlink()
+    capture = open_capture(folder)
+    assert [frame.name for frame in capture] == ["frame-000002", "frame-000010"]
+    assert capture[0].depth is not None and capture[1].depth is None
+    assert capture.faults == (
+        "1 pictures have no pose and are left out (first: frame-000004.color.png)",
+        "1 pictures have no depth map (first: frame-000010.color.png)",
+    )
+
+
+def test_a_capture_without_any_pose_is_refused(folder: Path) -> None:
+    for file in folder.glob("*.pose.txt"):
+        file.unlink()
+    refuses(folder, "none of 3 pictures", "3 pictures have no pose")
 
 
 @pytest.mark.parametrize(
@@ -118,9 +130,15 @@ def test_missing_companion_is_named(folder: Path, suffix: str) -> None:
         ("", "0 numbers"),
     ],
 )
-def test_bad_pose_is_named(folder: Path, content: str, problem: str) -> None:
+def test_a_bad_pose_leaves_its_picture_out_with_a_line(folder: Path, content: str, problem: str) -> None:
     (folder / "frame-000010.pose.txt").write_text(content)
-    refuses(folder, "frame-000010.pose.txt", problem)
+    capture = open_capture(folder)
+    assert [frame.name for frame in capture] == ["frame-000002", "frame-000004"]
+    (line,) = capture.faults
+    assert line.startswith("1 poses cannot be used, their pictures are left out (first: frame-000010.pose.txt: ")
+    assert problem in line and str(folder) not in line
+    with pytest.raises(InputError, match=r"frame-000010\.pose\.txt.*--strict"):
+        open_capture(folder, strict=True)
 
 
 @pytest.mark.parametrize(

@@ -88,6 +88,24 @@ def test_a_lamp_is_found_that_burns_out_the_wall_and_touches_the_border(box: Ray
     assert glowing_places(box, [sight(box, frame) for frame in bright], UP) == []  # daylight burns walls out, too
 
 
+def test_cameras_that_hardly_move_find_no_lamp(box: RayCaster) -> None:
+    """Their rays meet anywhere."""
+    steps = ((0.0, 0.0, 0.0), (0.02, 0.0, 0.0), (0.0, 0.03, 0.0), (0.0, 0.0, 0.02))
+    frames = [picture(tuple(np.add(EYES[0], step)), np.array([0.2, 2.5, 1.0])) for step in steps]
+    for frame in frames:
+        paint(frame, LAMP, 0.15)
+        paint(frame, LAMP + np.array([0.1, 0.8, 0.2]), 0.3)
+    assert search_sources(box, frames, UP)[1] == ()
+    origins, high = [np.add(EYES[0], step) for step in steps], LAMP + np.array([0.0, 0.0, 0.6])
+    blobs = [Blob(number, unit(high - origin), 0.02) for number, origin in enumerate(origins)]
+    heights = np.arange(2.1, 2.9, 0.02)
+    assert ceiling_lamps(origins, blobs, UP, heights) == []
+    apart = [*origins[:3], np.array(EYES[2])]
+    blobs[3] = Blob(3, unit(high - apart[3]), 0.02)
+    ((place, _),) = ceiling_lamps(apart, blobs, UP, heights)
+    np.testing.assert_allclose(place, high, atol=0.08)
+
+
 def test_a_small_lit_sign_on_a_wall_is_flat_and_a_bulb_before_it_is_not(box: RayCaster) -> None:
     """Its own few points tell nothing; the wall around it does."""
     sightings = [sight(box, picture(eye, np.array([0.0, 3.0, 0.6]))) for eye in EYES]
