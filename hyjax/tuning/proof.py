@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from tqdm import tqdm
 
-from hyjax.configuration import Configuration
+from hyjax.configuration import PRESETS, Configuration
 from hyjax.tuning.evaluation import Scores, mean_scores
 from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.request import Budget
@@ -73,29 +73,38 @@ def prove_in_time(
     candidates: Sequence[Configuration],
     references: Sequence[Configuration],
     stage: "Stage",
-    budgets: int,
+    budgets: Sequence[Budget],
     monitor: RunMonitor,
 ) -> tuple[list[Candidate], list[Candidate], list[str]]:
     """Candidates and references that there is time for, and the names of the others.
 
+    Where none keeps the first budget, the fastest preset is tried in any case.
+
     Args:
-        candidates: the first for so many budgets, others after them.
+        candidates: one for each budget, others after them.
         references: the base first.
     """
-    first = [*candidates[:budgets], *references[:1]]  # the answers, and what they are compared with: in any case
-    others = [*references[1:], *candidates[budgets:]]
+    # The answers, and what they are compared with: in any case.
+    first = [*candidates[: len(budgets)], *references[:1]]
+    others = [*references[1:], *candidates[len(budgets) :]]
     limit, found = monitor.limit, list[Candidate]()
     default = stage.judge.scores(stage.base, [*stage.cases, *stage.held_out])
-    for group in [[*first, *others]] if limit is None else [first, *([each] for each in others)]:
-        if found and monitor.over():
+    waiting = [[*first, *others]] if limit is None else [first, *([each] for each in others)]
+    while waiting:
+        missed = found and all(candidate.time.judged > budgets[0].milliseconds for candidate in found)
+        rescue = [group for group in waiting if missed and group[0].name == PRESETS[-1]]
+        if found and monitor.over() and not rescue:
             break
+        group = [*rescue, *waiting][0]
+        waiting.remove(group)
         most_seconds = math.inf if limit is None else (OTHERS_SHARE if found else TIMING_SHARE) * limit
         progress, done = monitor.progress, monitor.done
         found += prove(group, stage, progress=progress, done=done, most_seconds=most_seconds, default=default)
+    proved = {id(candidate.configuration) for candidate in found}
     searched = {id(configuration) for configuration in candidates}
     tuned = [candidate for candidate in found if id(candidate.configuration) in searched]
     known = [candidate for candidate in found if id(candidate.configuration) not in searched]
-    return tuned, known, [configuration.name for configuration in [*first, *others][len(found) :]]
+    return tuned, known, [each.name for each in others if id(each) not in proved]
 
 
 def front_of(candidates: Sequence[Candidate]) -> list[Candidate]:

@@ -143,9 +143,7 @@ class Run:
             if best is not None:
                 references.append(self._polished(paper.configuration(best.choices, "paper-tuned")))
         self.monitor.enter("timing and judging the best")
-        tuned, known, self._left_out = prove_in_time(
-            candidates, references, self.stage, len(self.budgets), self.monitor
-        )
+        tuned, known, self._left_out = prove_in_time(candidates, references, self.stage, self.budgets, self.monitor)
         result = self._result(state, tuned, known, base)
         if self.settings.out is not None:
             self.monitor.enter("writing the report")

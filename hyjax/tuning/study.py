@@ -9,6 +9,7 @@ Losses hold on any machine. Times are kept by machine: a search that goes on els
 
 import contextlib
 import dataclasses
+import logging
 import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -33,6 +34,7 @@ UNUSABLE_LOSS = 1e9
 """Stands for a loss that is not a number."""
 VERSION = 5
 """Version of the journal. Add one whenever its contents mean something else."""
+_log = logging.getLogger(__name__)
 KEPT_FIELDS = ("choices", "phase", "losses", "time", "cases", "improve", "source", "predicted")
 """Fields that are kept of a trial; its budget is known while it is proposed alone."""
 
@@ -237,6 +239,8 @@ def check_free(folder: Path, resume: bool) -> None:
         raise InputError(
             f"{folder}: holds the trials of another run; add --resume to go on with it, or choose another --out"
         )
+    if resume and not (folder / FILE_NAME).exists():
+        _log.warning("%s: has no trials to go on with (--resume); a new search begins", folder)
 
 
 def check_installed() -> None:

@@ -9,10 +9,10 @@ import pytest
 from extras import need
 from page_checks import parse
 
-from hyjax.configuration import Configuration
+from hyjax.configuration import PRESETS, Configuration
 from hyjax.tuning.clock import FrameTime
 from hyjax.tuning.monitor import RunMonitor
-from hyjax.tuning.proof import best_within
+from hyjax.tuning.proof import best_within, prove_in_time
 from hyjax.tuning.report_page import page
 from hyjax.tuning.report_text import candidates, summary
 from hyjax.tuning.request import Budget
@@ -175,3 +175,42 @@ def test_a_configuration_has_one_time_for_all_budgets() -> None:
     found = run._timed_again([slow, fast])
     assert asked == ["slow", "fast"] and [c.time.median for c in found] == [30.0, 30.0]
     assert found[0].tuning is slow.tuning and best_within(budgets[0], found).name == "slow"
+
+
+@dataclasses.dataclass
+class FakeStage:
+    """Stage of known times, in milliseconds."""
+
+    milliseconds: dict[str, float]
+    base = Configuration()
+    cases = held_out = (0,)
+
+    @property
+    def judge(self) -> "FakeStage":
+        return self
+
+    @property
+    def clock(self) -> "FakeStage":
+        return self
+
+    def scores(self, configuration: Configuration, cases: Sequence[int]) -> list[dict[str, float]]:
+        return [{"loss": 1.0} for _ in cases]
+
+    def times(self, configurations: Sequence[Configuration], rounds: int, most_seconds: float) -> list[FrameTime]:
+        return [
+            FrameTime(each, each, 20.0, each / 20) for each in (self.milliseconds[c.name] for c in configurations)
+        ]
+
+
+@pytest.mark.parametrize(("tuned", "proven"), [(30.0, ["default", "fast"]), (8.0, ["default"])])
+def test_the_fastest_preset_is_tried_where_nothing_else_keeps_the_budget(
+    tuned: float, proven: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(RunMonitor, "over", lambda monitor: True)
+    stage = FakeStage({"tuned-1": tuned, "default": 20.0, "quality": 25.0, "balanced": 12.0, "fast": 9.0})
+    candidate = dataclasses.replace(Configuration(), name="tuned-1")
+    references = [stage.base, *map(Configuration.preset, PRESETS)]
+    monitor = RunMonitor(60.0, progress=False)
+    _, known, left = prove_in_time([candidate], references, stage, [Budget("100 fps", 10.0)], monitor)  # type: ignore[arg-type]
+    assert [each.name for each in known] == proven
+    assert left == [name for name in PRESETS if name not in proven]
