@@ -137,8 +137,11 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
         strictly(spoil(COLOR.replace("1", "0"), cut)),
         ("frame-000000.color.png", "damaged", "--strict"),
     ),
-    "truncated JPEGs": (truncated_jpegs, ("frame-000000.color.jpg", "none of 2 pictures can be read")),
-    "pose not rigid": (spoil(POSE, lambda p: b"2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"), (POSE, "rigid")),
+    "truncated JPEGs": (truncated_jpegs, ("frame-000000.color.jpg", "none of 2 pictures can be used")),
+    "pose not rigid": (
+        strictly(spoil(POSE, lambda p: b"2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1")),
+        (POSE, "rigid", "--strict"),
+    ),
     "intrinsics of another size": (
         spoil("camera-intrinsics.txt", lambda p: b"600 0 320 0 600 240 0 0 1"),
         ("camera-intrinsics.txt", "160x120"),

@@ -136,10 +136,15 @@ class ScenePhotoLight:
         sources = self.sources
         names = [window.name for window in sources.windows] + [lamp.name for lamp in sources.lamps]
         origin = {"file": "named", "capture": "known of the capture", "found": "found in the pictures", "none": ""}
-        lit = f"{', '.join(names)} ({origin[sources.origin]})" if names else "no window and no lamp was found"
+        lit = (
+            f"{', '.join(names)} ({origin[sources.origin]})"
+            if names
+            else "no window and no lamp was found, so it counts as coming from all around"
+        )
         brightness, hue = (f"{100 * share:.0f} %" for share in (estimate.exponent, estimate.hue_exponent))
-        found = "it" if names else "light from what was not scanned"
-        shares = f"{found} is divided out, its brightness by {brightness}, its hue by {hue}"
+        shares = (
+            f"{brightness} of its differences in brightness and {hue} in colour are taken out before relighting"
+        )
         fate = shares if estimate.exponent else f"it stays in the pictures: {estimate.reason}"
         remedy = f"; if {'other ' * bool(names)}windows or lamps lit the photos, name them with --photo-sources"
         return f"light of the photos: {lit}; {fate}{remedy if sources.origin != 'file' else ''}"

@@ -117,7 +117,13 @@ def write_png(
     path: Path,
     display: Float[np.ndarray, "h w"] | Float[np.ndarray, "h w c"] | UInt8[np.ndarray, "h w c"],
 ) -> None:
-    """Write display-encoded values, in [0, 1] or as bytes, as an 8-bit PNG."""
+    """Write display-encoded values, in [0, 1] or as bytes, as an 8-bit PNG.
+
+    Raises:
+        InputError: another ending than `.png`, which would be another format; or the file cannot be written.
+    """
+    if path.suffix.lower() != ".png":
+        raise InputError(f"{path}: must end in .png")
     pixels = display if display.dtype == np.uint8 else to_bytes(display)
     space = {"oiio:ColorSpace": "srgb_rec709_scene"}
     _write(path, pixels, "uint8", {**space, "png:compressionLevel": PNG_LEVEL, "png:filter": PNG_FILTER})
