@@ -15,6 +15,8 @@ LARGEST_FILTER, LARGEST_FILTER_IN_SUN = 1.6, 3.5
 """Largest filter on all but a twentieth of the surface, without the sun and with it."""
 MOST_BURNT = 0.1
 """Largest share of the surface in a picture that burns out, but for what the photo itself has that bright."""
+MOST_OVER_SHARE = 2.0
+"""Largest brightness of a picture over that of the median one."""
 DIMMINGS = 8
 """Most times that sun, least bounces and exposure are brought in line with each other."""
 MOST_FILLED, FILL_STEPS = 0.85, 16
@@ -77,7 +79,9 @@ def exposed(
         bounds = [(shade, lift * LARGEST_FILTER), (light, lift * LARGEST_FILTER_IN_SUN)]
         least = max(float(np.quantile(values / response.photo_light, 0.95)) / most for values, most in bounds)
         least = max(least, _least_unburnt(shade, seen, response))
-        median = float(np.median(seen.of_cameras(bright / response.photo_light)))
+        pictures = seen.of_cameras(bright / response.photo_light)
+        median = float(np.median(pictures))
+        least = max(least, float(pictures.max()) / (MOST_OVER_SHARE * exposure.share))
         before, reference = (reference, *sun), max(median / exposure.share, least, 1e-3)
         sun = np.where(parallel, np.minimum(1.0, lift * exposure.sun * reference / brightest), 1.0)
         if (reference, *sun) == before:

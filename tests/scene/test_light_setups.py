@@ -443,6 +443,20 @@ def test_ambient_light_burns_no_white_wall_out(photo_value: float, box: RayCaste
         assert np.median(seen.of_cameras(light)) > 0.8 * exposure.share
 
 
+@pytest.mark.parametrize("brighter", [1.0, 30.0])
+def test_no_picture_is_far_brighter_than_the_median_one(brighter: float, box: RayCaster) -> None:
+    """A window lights one of three places of a walk much more than the others."""
+    cameras = [box_camera((0.5, y, 1.5), (-0.5, y + 1.0, 1)) for y in (-2.0, -1.0, 0.0)]
+    stage = survey(box, cameras, UP)
+    raw, seen, exposure = SETUPS["night-moon"](stage), stage.seen, EXPOSURES["night-moon"]
+    near, _ = kinds_of(raw.lights)
+    none = np.zeros(len(seen.points))
+    lux = np.where(near, np.where(seen.camera == 1, brighter, 1.0)[:, None], 0.0)
+    setup = exposed(raw, lux, seen, exposure, Response(none + 1.0, none, none, 0.5))
+    light = (lux * paleness(raw.lights))[:, near].sum(axis=1) / float(setup.reference_lux)
+    assert seen.of_cameras(light).max() < 2.05 * exposure.share
+
+
 def test_a_grazing_sun_is_turned_to_where_it_shows() -> None:
     """On level ground alone a usual low sun would hardly be seen."""
     anchors = survey(RayCaster(PATIO), PATIO_CAMERAS, UP)
