@@ -20,6 +20,7 @@ from hyjax.choices.options import (
     ShadowOptions,
     annotated,
     kinds,
+    wanted,
 )
 from hyjax.choices.table import CASCADES, CHOICES, NO_STEPS, choice_named
 from hyjax.core.cascade import largest_sampling
@@ -194,9 +195,8 @@ class Configuration:
                 value = None
             try:
                 value = msgspec.convert(value, annotated(choice), strict=not isinstance(value, str))
-            except msgspec.ValidationError as error:
-                wrong = str(error).replace("`bool`", "true or false")
-                raise InputError(f"choices: {name} {value!r}: {wrong}") from None
+            except msgspec.ValidationError:
+                raise InputError(f"choices: {name} must be {wanted(choice)}, got {value!r}") from None
             if choice.part:
                 own = found.get(choice.part, getattr(self, choice.part))
                 found[choice.part] = own.replace(**{choice.key: value})

@@ -116,8 +116,11 @@ def test_help_beside_a_long_argument_comes_once(
         ),
         (
             ["relight", "--seed", "x"],
-            "Error parsing --seed: invalid literal for int() with base 10: 'x'; see hyjax relight --help",
+            "--seed: need a whole number, got 'x'; see hyjax relight --help",
         ),
+        (["relight", "--kappa", "x"], "--kappa: need a number, got 'x'; see hyjax relight --help"),
+        (["relight", "--sampling", "1.5"], "--sampling: need a whole number, got '1.5'; see hyjax relight --help"),
+        (["tune", "--fps", "x"], "--fps: cannot be 'x'; see hyjax tune --help"),
         (
             ["info", "--frames", "x"],
             "Unrecognized or misplaced options: --frames (applied to hyjax info) x (applied to hyjax info), which "

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
 
 import msgspec
 
@@ -84,6 +84,15 @@ def annotated(choice: Choice) -> Any:
         low, high = (choice.type(bound) for bound in choice.bounds)
         kind = Annotated[kind, msgspec.Meta(ge=low, le=high)]
     return kind | None if choice.default is None else kind
+
+
+def wanted(choice: Choice) -> str:
+    """Words for the values that a choice may have."""
+    if get_origin(choice.type) is Literal:
+        return f"one of {', '.join(map(str, get_args(choice.type)))}"
+    kind = {bool: "true or false", int: "a whole number", float: "a number"}.get(choice.type, "another value")
+    bounds = "" if choice.bounds is None else " from {:g} to {:g}".format(*choice.bounds)
+    return f"{kind}{bounds}{' or none' * (choice.default is None)}"
 
 
 def kinds() -> dict[str, Any]:

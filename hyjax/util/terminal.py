@@ -18,6 +18,10 @@ LONGEST_USAGE_ERROR = 400
 """Characters of a message about the command line."""
 OPTION_PATTERN = re.compile(r"--[\w-]+")
 """Name of an option in such a message."""
+VALUE_PATTERN = re.compile(r"Error parsing (--[\w-]+): (.*?)\[?(['\"].*['\"])\]?\.?$")
+"""Option, reason and value in a message about a value."""
+FORMS = {"int()": "a whole number", "INT": "a whole number", "FLOAT": "a number", "float": "a number"}
+"""Words for the types of tyro's messages."""
 CHOICE_PATTERN = re.compile(r"invalid choice '(.*?)' .*one of \((.*)\)")
 """Value that is no choice of its option, and the choices, in such a message."""
 
@@ -107,6 +111,10 @@ def usage_error(box: str, command: str = "") -> str:
     groups = itertools.groupby(rows[1:], key=_is_rule)  # below the title
     said, *more = [" ".join(texts) for is_rule, texts in groups if not is_rule]
     line = one_line(said, LONGEST_USAGE_ERROR).rstrip(".")
+    if parsed := VALUE_PATTERN.search(said):
+        option, reason, given = parsed.groups()
+        kind = next((words for form, words in FORMS.items() if form in reason), None)
+        line = f"{option}: need {kind}, got {given}" if kind else f"{option}: cannot be {given}"
     if choice := CHOICE_PATTERN.search(said):
         line += did_you_mean(choice[1].lower(), re.findall(r"'(.*?)'", choice[2]))
     for text in more:
