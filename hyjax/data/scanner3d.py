@@ -52,7 +52,7 @@ def open_scanner3d(tree: FileTree) -> Recording:
     moments = {match[1]: name for name in tree.below("") if (match := FRAME_FILE.fullmatch(name))}
     for name in tree.below(""):
         if (match := PICTURE_FILE.fullmatch(name)) and match[1] not in moments:
-            scan.remarks.add("pictures have no pose and are left out", name)
+            scan.faults.add("pictures have no pose and are left out", name)
     pictures = {
         number: picture
         for number in moments

@@ -42,14 +42,13 @@ def open_seven_scenes(tree: FileTree) -> Recording:
     colours = _numbered_colours(tree)
     has_depth = any(_companion(name, "depth.png") in tree for name in colours.values())
     faults = Tally()
-    read = {number: _read_pose(tree, name, faults) for number, name in colours.items()}
-    poses = {number: pose for number, pose in read.items() if pose is not None}
     usable: dict[int, str] = {}
+    poses: dict[int, Float[np.ndarray, "4 4"]] = {}
     for number, name in colours.items():
         if not looks_whole(tree, name):
             faults.add(f"of {len(colours)} pictures are damaged and left out", name)
-        elif number in poses:
-            usable[number] = name
+        elif (pose := _read_pose(tree, name, faults)) is not None:
+            usable[number], poses[number] = name, pose
     if not usable:
         raise InputError(f"{tree.path}: none of {len(colours)} pictures can be used; {'; '.join(faults.lines())}")
     remarks: list[str] = []

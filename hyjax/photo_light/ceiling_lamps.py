@@ -91,7 +91,8 @@ def _clusters(
             continue
         left[members] = False
         size = float(np.median(radius[members]))
-        if np.linalg.norm(origin[members] - origin[k], axis=1).max() >= BASELINE:  # nearer ones agree at any height
+        # Rays of one place meet at any height: they tell where a lamp is under a ceiling that others know.
+        if np.linalg.norm(origin[members] - origin[k], axis=1).max() >= BASELINE:
             score += float(np.sum(1.0 - distance[k, members] / SAME_PLACE)) - 1.0
         if size < LARGEST_RADIUS:
             found.append((place[members].mean(axis=0), max(size, LEAST_RADIUS)))
@@ -100,4 +101,4 @@ def _clusters(
 
 def _frames(origins: Float[np.ndarray, "n 3"]) -> int:
     """Number of different cameras."""
-    return len(np.unique(origins, axis=0))
+    return len({origin.tobytes() for origin in origins})

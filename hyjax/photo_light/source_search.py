@@ -9,11 +9,11 @@ their burnt-out parts share (`glowing_places`).
 
 import dataclasses
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from hyjax.data.capture import Capture, Frame
@@ -45,8 +45,9 @@ LEAST_OPEN_SHARE = 0.1
 LEAST_WALL_SHARE = 0.1
 """Least scanned share of the wall close around a window. Sunlit ground behind an open place has none; windows that
 are found in seven generated rooms have 0.27 and more."""
-LEAST_WALL_OF_BURNT = 0.4
-"""The same of a burnt-out part of a hole, which without a wall around is any part of what was not scanned."""
+LEAST_WALL_OF_BURNT = 0.5
+"""The same of a burnt-out part of a hole, which else is any part of what was not scanned. In generated rooms
+windows have 0.7 and more, a lamp's glow on a ceiling that was not scanned 0.4."""
 MOST_GROWN, GROWN_SHARE = 5, 0.8
 """Most cells that a burnt-out part grows by at each side, and least share of such a line that is a hole."""
 LARGEST_ASPECT = 10
@@ -130,12 +131,34 @@ def _windows_of(wall: int, box: Box, sightings: Sequence[Sighting], up: Vector) 
     burnt = (count["burnt hole"] > 0) | white
     frames_seen = count["open"] + count["burnt wall"]
     brightness = np.where(weight > 0, total / np.maximum(weight, 1.0), np.nan)
+    cells = _Cells(hole | white, hole, burnt, count["wall"] > 0, frames_seen, brightness)
     frame = _Wall(-outward, offset * outward, across, vertical, low)
-    return [
-        frame.window(rectangle)
-        for rectangle in _rectangles(hole | white, hole, burnt, count["wall"] > 0, brightness)
-        if frames_seen[rectangle[0] : rectangle[1] + 1, rectangle[2] : rectangle[3] + 1].mean() >= FEWEST_FRAMES
-    ]
+    return [frame.window(rectangle) for rectangle in _rectangles(cells)]
+
+
+Rectangle = tuple[int, int, int, int]
+"""First and last row, first and last column."""
+
+
+@dataclasses.dataclass(frozen=True)
+class _Cells:
+    """Cells of a wall.
+
+    Attributes:
+        mask: that may be of a window: holes, and what is burnt out in several frames.
+        hole: without a surface.
+        burnt: burnt out in a frame.
+        wall: with a surface in the wall's plane.
+        frames: number of frames that see each.
+        brightness: mean of the surface in the wall's plane; NaN without.
+    """
+
+    mask: Bool[np.ndarray, "a b"]
+    hole: Bool[np.ndarray, "a b"]
+    burnt: Bool[np.ndarray, "a b"]
+    wall: Bool[np.ndarray, "a b"]
+    frames: Int[np.ndarray, "a b"]
+    brightness: Float[np.ndarray, "a b"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,8 +171,8 @@ class _Wall:
     vertical: Vector
     low: Float[np.ndarray, "2"]
 
-    def window(self, rectangle: tuple[int, int, int, int]) -> PhotoWindow:
-        """Window over rows and columns of cells, first and last of each."""
+    def window(self, rectangle: Rectangle) -> PhotoWindow:
+        """Window over a rectangle of cells."""
         first = self.low + CELL_SIDE * np.array(rectangle[::2])
         last = self.low + CELL_SIDE * (np.array(rectangle[1::2]) + 1)
         a, b = (first + last) / 2
@@ -158,52 +181,62 @@ class _Wall:
         return PhotoWindow("", center, self.across * width / 2, self.vertical * height / 2, self.inward)
 
 
-def _rectangles(
-    mask: Bool[np.ndarray, "a b"],
-    hole: Bool[np.ndarray, "a b"],
-    burnt: Bool[np.ndarray, "a b"],
-    wall: Bool[np.ndarray, "a b"],
-    brightness: Float[np.ndarray, "a b"],
-) -> list[tuple[int, int, int, int]]:
-    """Rectangles of window cells: first and last row, first and last column.
+def _rectangles(cells: _Cells) -> list[Rectangle]:
+    """Rectangles of windows.
 
     A hole may be larger than the window in it, and what is burnt out smaller: of both, what has more wall around.
     """
-    found: list[tuple[float, tuple[int, int, int, int]]] = []
-    for cells, least_wall in ((mask, LEAST_WALL_SHARE), (mask & burnt, LEAST_WALL_OF_BURNT)):
-        for part in _connected(cells):
-            spans = []
-            for axis in (1, 0):
-                profile = part.sum(axis=axis)
-                lines = np.flatnonzero(profile >= 0.5 * np.quantile(profile[profile > 0], 0.9))
-                spans += [int(lines[0]), int(lines[-1])]
-            if cells is not mask:
-                spans = _grown(spans, mask)
-            inside = np.s_[spans[0] : spans[1] + 1, spans[2] : spans[3] + 1]
-            area = part[inside].size * CELL_SIDE**2
-            if area < LEAST_AREA or part[inside].mean() < 0.6 or burnt[inside].mean() < 0.25:
+    found: list[tuple[float, Rectangle, Rectangle]] = []
+    for mask, grows in ((cells.mask, False), (cells.mask & cells.burnt, True)):
+        least_wall = LEAST_WALL_OF_BURNT if grows else LEAST_WALL_SHARE
+        labels, number = _connected(mask)
+        for part, others in ((labels == k, (labels > 0) & (labels != k)) for k in range(1, number + 1)):
+            if part.sum() * CELL_SIDE**2 < LEAST_AREA:
                 continue
-            sides = sorted((spans[1] - spans[0], spans[3] - spans[2]))
+            core = _middle(part)
+            inside, area = _slices(core), part[_slices(core)].size * CELL_SIDE**2
+            if area < LEAST_AREA or part[inside].mean() < 0.6 or cells.burnt[inside].mean() < 0.25:
+                continue
+            sides = sorted((core[1] - core[0], core[3] - core[2]))
             if sides[0] * CELL_SIDE < 0.25 or sides[1] > LARGEST_ASPECT * sides[0]:
                 continue
-            around = _rim(part.shape, inside)
-            wall_share = float(wall[around].mean()) if around.any() else 0.0
-            open_share = hole[inside].mean()
+            whole = _grown(core, cells.mask & ~others) if grows else core
+            around = _rim(part.shape, _slices(whole))
+            wall_share = float(cells.wall[around].mean()) if around.any() else 0.0
+            open_share = cells.hole[_slices(whole)].mean()
             if wall_share < least_wall or open_share < LEAST_OPEN_SHARE:
                 continue
-            if open_share >= 0.3 or _stands_out(brightness[around], area):
-                found.append((wall_share, (spans[0], spans[1], spans[2], spans[3])))
-    found.sort(key=lambda one: -one[0])
-    kept: list[tuple[int, int, int, int]] = []
-    for _, rectangle in found:
-        if not any(_overlap(rectangle, other) for other in kept):
-            kept.append(rectangle)
-    return kept
+            if cells.frames[_slices(whole)].mean() < FEWEST_FRAMES:
+                continue
+            if open_share >= 0.3 or _stands_out(cells.brightness[around], area):
+                found.append((wall_share, core, whole))
+    kept: list[tuple[Rectangle, Rectangle]] = []
+    for _, core, whole in sorted(found, key=lambda one: -one[0]):
+        if not any(_overlap(core, other) for other, _ in kept):
+            kept.append((core, whole))
+    return [whole for _, whole in kept]
 
 
-def _grown(spans: list[int], mask: Bool[np.ndarray, "a b"]) -> list[int]:
+def _connected(cells: Bool[np.ndarray, "a b"]) -> tuple[Int[np.ndarray, "a b"], int]:
+    """Numbered connected parts, small gaps closed and thin bridges cut, and how many there are."""
+    closed = ndimage.binary_closing(np.pad(cells, 3), np.ones((3, 3)))[3:-3, 3:-3]
+    labels, number = ndimage.label(ndimage.binary_opening(closed, np.ones((3, 3))))
+    return labels, number
+
+
+def _middle(part: Bool[np.ndarray, "a b"]) -> Rectangle:
+    """Rectangle of the rows and columns of which a part has a good share."""
+    spans = []
+    for axis in (1, 0):
+        profile = part.sum(axis=axis)
+        lines = np.flatnonzero(profile >= 0.5 * np.quantile(profile[profile > 0], 0.9))
+        spans += [int(lines[0]), int(lines[-1])]
+    return spans[0], spans[1], spans[2], spans[3]
+
+
+def _grown(rectangle: Rectangle, mask: Bool[np.ndarray, "a b"]) -> Rectangle:
     """Rectangle with the rows and columns beside it that are holes, too."""
-    spans, ends = [*spans], (0, mask.shape[0] - 1, 0, mask.shape[1] - 1)
+    spans, ends = [*rectangle], (0, mask.shape[0] - 1, 0, mask.shape[1] - 1)
     for side in range(4):
         for _ in range(MOST_GROWN):
             if spans[side] == ends[side]:
@@ -213,15 +246,11 @@ def _grown(spans: list[int], mask: Bool[np.ndarray, "a b"]) -> list[int]:
             if line.mean() < GROWN_SHARE:
                 break
             spans[side] = beside
-    return spans
+    return spans[0], spans[1], spans[2], spans[3]
 
 
-def _connected(cells: Bool[np.ndarray, "a b"]) -> Iterator[Bool[np.ndarray, "a b"]]:
-    """Connected parts of some size, small gaps closed and thin bridges cut."""
-    closed = ndimage.binary_closing(np.pad(cells, 3), np.ones((3, 3)))[3:-3, 3:-3]
-    labels, number = ndimage.label(ndimage.binary_opening(closed, np.ones((3, 3))))
-    parts = (labels == k for k in range(1, number + 1))
-    return (part for part in parts if part.sum() * CELL_SIDE**2 >= LEAST_AREA)
+def _slices(rectangle: Rectangle) -> tuple[slice, slice]:
+    return slice(rectangle[0], rectangle[1] + 1), slice(rectangle[2], rectangle[3] + 1)
 
 
 def _rim(shape: tuple[int, int], inside: tuple[slice, slice]) -> Bool[np.ndarray, "a b"]:
@@ -231,7 +260,7 @@ def _rim(shape: tuple[int, int], inside: tuple[slice, slice]) -> Bool[np.ndarray
     return ndimage.binary_dilation(whole, iterations=5) & ~ndimage.binary_dilation(whole, iterations=2)
 
 
-def _overlap(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> bool:
+def _overlap(a: Rectangle, b: Rectangle) -> bool:
     """Whether two rectangles share cells."""
     return a[0] <= b[1] and b[0] <= a[1] and a[2] <= b[3] and b[2] <= a[3]
 

@@ -16,7 +16,7 @@ LARGEST_FILTER, LARGEST_FILTER_IN_SUN = 1.6, 3.5
 MOST_BURNT = 0.1
 """Largest share of the surface in a picture that burns out, but for what the photo itself has that bright."""
 MOST_OVER_SHARE = 2.0
-"""Largest brightness of a picture over that of the median one."""
+"""Largest brightness of a picture, beside the sun, over that which the median one should have."""
 DIMMINGS = 8
 """Most times that sun, least bounces and exposure are brought in line with each other."""
 MOST_FILLED, FILL_STEPS = 0.85, 16
@@ -79,9 +79,10 @@ def exposed(
         bounds = [(shade, lift * LARGEST_FILTER), (light, lift * LARGEST_FILTER_IN_SUN)]
         least = max(float(np.quantile(values / response.photo_light, 0.95)) / most for values, most in bounds)
         least = max(least, _least_unburnt(shade, seen, response))
-        pictures = seen.of_cameras(bright / response.photo_light)
-        median = float(np.median(pictures))
-        least = max(least, float(pictures.max()) / (MOST_OVER_SHARE * exposure.share))
+        median = float(np.median(seen.of_cameras(bright / response.photo_light)))
+        beside_sun = (lux * pale)[:, near].sum(axis=1) + np.maximum(response.near, filled)
+        brightest_picture = float(seen.of_cameras(beside_sun / response.photo_light).max())
+        least = max(least, brightest_picture / (MOST_OVER_SHARE * exposure.share))
         before, reference = (reference, *sun), max(median / exposure.share, least, 1e-3)
         sun = np.where(parallel, np.minimum(1.0, lift * exposure.sun * reference / brightest), 1.0)
         if (reference, *sun) == before:
@@ -92,7 +93,8 @@ def exposed(
         direct = (lux * sun * pale)[:, near | parallel].sum(axis=1) / reference
         bounced = (response.near + float(sun[parallel].min(initial=1.0)) * response.parallel) / reference
         ambient = _least_ambient(setup, direct, bounced, seen, exposure, response)
-        # Ambient light lifts what was just not burnt out; with it, everything is exposed for less.
+        # Ambient light lifts what was just not burnt out; with it, everything is exposed for less. Channels count
+        # in the mean, as white walls are meant: of a warm light red may burn out.
         white = (lux * pale)[:, near].sum(axis=1) / reference + np.maximum(bounced, ambient * response.filled_share)
         burning = max(_least_unburnt(white, seen, response), 1.0)
     lights: list[Any] = list(setup.lights)

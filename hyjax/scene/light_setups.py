@@ -224,8 +224,8 @@ def _sunlit(anchors: LightAnchors, travel: Vector) -> tuple[int, list[tuple[floa
     for window in () if anchors.open_sky else anchors.windows:
         if travel @ window.inward < 0.1:
             continue
-        lit = facing & seen.reached_through(window.opening(anchors.up), travel)
-        every |= lit
+        lit = seen.reached_through(window.opening(anchors.up), travel)
+        every |= facing & lit
         shares.append((float(lit.mean()), window))
     pictures = [every[seen.camera == camera].mean() >= LEAST_SUNLIT_SHARE for camera in np.unique(seen.camera)]
     return sum(pictures), shares

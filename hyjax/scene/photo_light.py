@@ -37,7 +37,7 @@ FRAME_COUNT = 24
 """Number of frames, spread over the capture, for the estimate of the photo's light."""
 PANE_FRAMES, PANE_WIDTH = 12, 320
 """Number of frames for the means of panes, and their longer side in pixels."""
-VERSION = 27
+VERSION = 28
 """Version of sources and estimate. Add one when either changes."""
 _log = logging.getLogger(__name__)
 _Stored = tuple[Estimate, Float[np.ndarray, "n 3"]]
@@ -136,16 +136,11 @@ class ScenePhotoLight:
         sources = self.sources
         names = [window.name for window in sources.windows] + [lamp.name for lamp in sources.lamps]
         origin = {"file": "named", "capture": "known of the capture", "found": "found in the pictures", "none": ""}
-        lit = (
-            f"{', '.join(names)} ({origin[sources.origin]})"
-            if names
-            else "no window and no lamp was found, so it counts as coming from all around"
-        )
+        lit = f"{', '.join(names)} ({origin[sources.origin]})" if names else "no window and no lamp was found"
         brightness, hue = (f"{100 * share:.0f} %" for share in (estimate.exponent, estimate.hue_exponent))
-        shares = (
-            f"{brightness} of its differences in brightness and {hue} in colour are taken out before relighting"
-        )
-        fate = shares if estimate.exponent else f"it stays in the pictures: {estimate.reason}"
+        assumed = "" if names else "it counts as coming from all around, and "
+        shares = f"{brightness} of its changes in brightness and {hue} in colour are taken out before relighting"
+        fate = assumed + shares if estimate.exponent else f"it stays in the pictures: {estimate.reason}"
         remedy = f"; if {'other ' * bool(names)}windows or lamps lit the photos, name them with --photo-sources"
         return f"light of the photos: {lit}; {fate}{remedy if sources.origin != 'file' else ''}"
 

@@ -78,7 +78,7 @@ def prove_in_time(
 ) -> tuple[list[Candidate], list[Candidate], list[str]]:
     """Candidates and references that there is time for, and the names of the others.
 
-    Where none keeps the first budget, the fastest preset is tried in any case.
+    Where none keeps all budgets, the fastest preset is tried in any case.
 
     Args:
         candidates: one for each budget, others after them.
@@ -90,8 +90,9 @@ def prove_in_time(
     limit, found = monitor.limit, list[Candidate]()
     default = stage.judge.scores(stage.base, [*stage.cases, *stage.held_out])
     waiting = [[*first, *others]] if limit is None else [first, *([each] for each in others)]
+    least = min(budget.milliseconds for budget in budgets)
     while waiting:
-        missed = found and all(candidate.time.judged > budgets[0].milliseconds for candidate in found)
+        missed = found and min(candidate.time.judged for candidate in found) > least
         rescue = [group for group in waiting if missed and group[0].name == PRESETS[-1]]
         if found and monitor.over() and not rescue:
             break

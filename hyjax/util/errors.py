@@ -55,5 +55,6 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     """` (did you mean 'position'?)` for the known word that a word begins, or that is nearest; empty if none is."""
     words = list(known)
     begun = [name for name in words if len(word) > 2 and name.startswith(word)]
-    close = begun or difflib.get_close_matches(word[:200], words, n=1, cutoff=0.6 if len(word) > 3 else 0.5)
+    cutoff = 0.51 if len(word) > 3 else 0.5
+    close = sorted(begun, key=len) or difflib.get_close_matches(word[:200], words, n=1, cutoff=cutoff)
     return f" (did you mean {close[0]!r}?)" if close else ""

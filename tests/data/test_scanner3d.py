@@ -35,7 +35,7 @@ def test_a_picture_without_a_pose_is_told(folder: Path) -> None:
     (folder / "frame_00002.json").unlink()
     capture = open_capture(folder)
     assert (
-        len(capture) == 3 and "1 pictures have no pose and are left out (first: frame_00002.jpg)" in capture.remarks
+        len(capture) == 3 and "1 pictures have no pose and are left out (first: frame_00002.jpg)" in capture.faults
     )
 
 

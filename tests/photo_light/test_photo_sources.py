@@ -49,14 +49,18 @@ def test_the_window_is_found_without_hints(room: RoomCapture, scene: Scene) -> N
     np.testing.assert_allclose(np.cross(windows[0].right, windows[0].up) @ windows[0].normal > 0, True)
 
 
+def rectangles(hole: np.ndarray, burnt: np.ndarray, wall: np.ndarray, frames: int | np.ndarray = 3) -> list:
+    seen = np.broadcast_to(np.asarray(frames), hole.shape)
+    return source_search._rectangles(source_search._Cells(hole, hole, burnt, wall, seen, np.full(hole.shape, 0.5)))
+
+
 @pytest.mark.parametrize("scanned", [True, False])
 def test_a_window_has_some_wall_around(scanned: bool) -> None:
     """Or it is sunlit ground behind an open place."""
     hole = np.zeros((60, 60), bool)
     hole[20:45, 10:40] = True
     wall = ~hole & scanned & (np.arange(60)[:, None] < 30)
-    found = source_search._rectangles(hole, hole, hole, wall, np.where(wall, 0.5, np.nan))
-    assert found == [(20, 44, 10, 39)] * scanned
+    assert rectangles(hole, hole, wall) == [(20, 44, 10, 39)] * scanned
 
 
 def test_a_window_is_what_is_burnt_out_of_a_larger_hole() -> None:
@@ -65,12 +69,33 @@ def test_a_window_is_what_is_burnt_out_of_a_larger_hole() -> None:
     hole[20:45, 10:40] = True
     wall, burnt = ~hole, hole.copy()
     hole[:, 36:] = True
-    found = source_search._rectangles(hole, hole, burnt, wall & ~hole, np.full(hole.shape, 0.5))
-    assert found == [(20, 44, 10, 39 + source_search.MOST_GROWN)], "a little more than is burnt out"
+    grown = source_search.MOST_GROWN
+    assert rectangles(hole, burnt, wall & ~hole) == [(20, 44, 10, 39 + grown)], "a little more than is burnt out"
     burnt[:, 10:25] = False  # a dark garden below the sky
     wall[:, 36:] = True
-    hole &= ~wall
-    assert source_search._rectangles(hole, hole, burnt, wall, np.full(hole.shape, 0.5)) == [(20, 44, 10, 35)]
+    assert rectangles(hole & ~wall, burnt, wall) == [(20, 44, 10, 35)]
+
+
+def test_of_a_hole_and_what_is_burnt_out_of_it_one_is_left() -> None:
+    """Though the hole was seen in too few frames."""
+    hole = np.zeros((80, 60), bool)
+    hole[20:45, 10:50] = True
+    burnt = np.zeros_like(hole)
+    burnt[20:45, 10:30] = True
+    frames = np.where(burnt, 3, 0)
+    assert rectangles(hole, burnt, ~hole, frames) == [(20, 44, 10, 29 + source_search.MOST_GROWN)]
+
+
+@pytest.mark.parametrize("gap", [4, 9])
+def test_neighbouring_windows_stay_two(gap: int) -> None:
+    """With a dark frame between them that was not scanned."""
+    hole = np.zeros((90, 120), bool)
+    burnt = np.zeros_like(hole)
+    burnt[10:40, 15:40] = burnt[40 + gap : 70 + gap, 15:40] = True
+    hole[10 : 70 + gap, 15:40] = hole[20 : 60 + gap, 40:] = True  # it runs on upwards
+    found = sorted(rectangles(hole, burnt, ~hole))
+    assert len(found) == 2 and found[0][0] == 10 and found[1][1] == 69 + gap
+    assert found[0][1] < 40 + gap <= found[1][0] + source_search.MOST_GROWN
 
 
 def test_hints_come_before_the_search_and_dark_lamps_are_left_out(scene: Scene) -> None:

@@ -14,13 +14,15 @@ from hyjax.light.color import to_display
 from hyjax.light.kinds import DirectionalLight, PointLight, RectLight, SkyLight
 from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import dark_share
+from hyjax.scene import exposure as exposure_module
 from hyjax.scene.exposure import bounded, exposed, warn_of_missing
-from hyjax.scene.light_places import LightAnchors, survey, tell_made_up
+from hyjax.scene.light_places import LightAnchors, WindowPlace, survey, tell_made_up
 from hyjax.scene.light_response import Response, kinds_of, paleness
-from hyjax.scene.light_setups import EXPOSURES, SETUPS, named_setup, placed_setup
+from hyjax.scene.light_setups import EXPOSURES, SETUPS, _sunlit, named_setup, placed_setup
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.util.errors import InputError
+from hyjax.util.vectors import unit
 
 UP = np.array([0.0, 0.0, 1.0])
 BOX = np.array([[-2.0, -3.0, 0.0], [2.0, 3.0, 2.5]])
@@ -455,6 +457,31 @@ def test_no_picture_is_far_brighter_than_the_median_one(brighter: float, box: Ra
     setup = exposed(raw, lux, seen, exposure, Response(none + 1.0, none, none, 0.5))
     light = (lux * paleness(raw.lights))[:, near].sum(axis=1) / float(setup.reference_lux)
     assert seen.of_cameras(light).max() < 2.05 * exposure.share
+
+
+def test_a_picture_in_the_sun_does_not_darken_the_others(monkeypatch: pytest.MonkeyPatch, box: RayCaster) -> None:
+    """The sun has a bound of its own."""
+    cameras = [box_camera((0.5, y, 1.5), (-0.5, y + 1.0, 1)) for y in (-2.0, -1.0, 0.0)]
+    stage = survey(box, cameras, UP)
+    raw, seen, exposure = SETUPS["golden-hour"](stage), stage.seen, EXPOSURES["golden-hour"]
+    near, parallel = kinds_of(raw.lights)
+    none = np.zeros(len(seen.points))
+    sunlit = (seen.camera == 1) & (np.arange(len(none)) % 10 < 7)
+    lux = np.where(parallel, np.where(sunlit, 300.0, 0.0)[:, None], np.where(near, 100.0, 0.0))
+    response = Response(none + 1.0, none, none, 0.5)
+    bound = exposed(raw, lux, seen, exposure, response)
+    monkeypatch.setattr(exposure_module, "MOST_OVER_SHARE", 1e9)
+    assert bound.reference_lux == exposed(raw, lux, seen, exposure, response).reference_lux
+
+
+def test_a_window_whose_sun_grazes_the_floor_keeps_it(box: RayCaster) -> None:
+    """Where another window's sun shows."""
+    stage = survey(box, BOX_CAMERAS, UP)
+    travel = np.array([0.0, 0.97, -0.24])
+    level = stage.seen.chosen(stage.seen.normals @ UP > 0.9)
+    window = WindowPlace(np.array([0.0, -2.99, 1.0]), np.array([0.0, 1.0, 0.0]), 3.0, 1.8)
+    pictures, [(share, _)] = _sunlit(dataclasses.replace(stage, seen=level, windows=[window]), unit(travel))
+    assert pictures == 0 and share > 0
 
 
 def test_a_grazing_sun_is_turned_to_where_it_shows() -> None:

@@ -214,3 +214,6 @@ def test_the_fastest_preset_is_tried_where_nothing_else_keeps_the_budget(
     _, known, left = prove_in_time([candidate], references, stage, [Budget("100 fps", 10.0)], monitor)  # type: ignore[arg-type]
     assert [each.name for each in known] == proven
     assert left == [name for name in PRESETS if name not in proven]
+    several = [Budget("10 fps", 100.0), Budget("100 fps", 10.0)]
+    _, known, _ = prove_in_time([candidate, candidate], references, stage, several, monitor)  # type: ignore[arg-type]
+    assert [each.name for each in known] == proven, "the tightest"

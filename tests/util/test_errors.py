@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyjax.util.errors import LONGEST_MESSAGE, one_line
+from hyjax.util.errors import LONGEST_MESSAGE, did_you_mean, one_line
 
 
 @given(st.text())
@@ -19,3 +19,19 @@ def test_long_texts_keep_their_ends_within_the_limit(letter: str, count: int) ->
     line = one_line(f"begin{letter * count}end")
     assert line.isprintable() and len(line) <= LONGEST_MESSAGE
     assert line.startswith("begin") and line.endswith("end")
+
+
+@pytest.mark.parametrize(
+    ("word", "known", "meant"),
+    [
+        ("noon", ["night-moon", "noon-window"], "noon-window"),
+        ("posit", ["position_of_lamp", "position"], "position"),
+        ("centre", ["evening-lamps", "center-point"], "center-point"),
+        ("lumens", ["luminous_flux", "color"], "luminous_flux"),
+        ("l1", ["mean_abs", "l2"], "l2"),
+        ("cube", ["true", "captured"], None),
+        ("maybe", ["yes", "no"], None),
+    ],
+)
+def test_the_nearest_word_is_suggested(word: str, known: list[str], meant: str | None) -> None:
+    assert did_you_mean(word, known) == (f" (did you mean {meant!r}?)" if meant else "")

@@ -210,3 +210,9 @@ def test_resize_keeps_constants_and_its_own_size(picture: np.ndarray) -> None:
     assert resize(picture, 37, 53) is picture
     for shape in ((5, 7), (100, 90)):
         np.testing.assert_allclose(resize(np.full((37, 53, 3), 0.7, np.float32), *shape), 0.7, atol=1e-5)
+
+
+def test_a_png_is_not_written_under_another_formats_name(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"a\.jpg: must end in \.png"):
+        write_png(tmp_path / "a.jpg", np.zeros((4, 4, 3)))
+    assert not list(tmp_path.iterdir())

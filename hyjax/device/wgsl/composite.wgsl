@@ -17,6 +17,7 @@ const PANE_WHITE = 0.75;
 const PANE_UNLIT = 0.05;
 const PANE_LIT = 0.1;
 const SLACK = 0.12;
+const RIM_WIDTH = 640u;
 
 @compute @workgroup_size(8, 8)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -49,6 +50,21 @@ fn view_light(sent: vec3<f32>, mean: vec3<f32>) -> vec3<f32> {
     let light = PANE_SHARE * sent;
     let white = max(mean, vec3<f32>(PANE_WHITE));
     return select(white * (1.0 - 0.5 * exp(1.0 - 2.0 * light / white)), light, 2.0 * light < white);
+}
+
+// Brightness of a pixel, or of one beside it: a lamp's rim is mixed with what lies behind.
+fn brightest_near(pixel: vec2<u32>) -> f32 {
+    let rim = vec2<u32>((SIZE.x + RIM_WIDTH - 1u) / RIM_WIDTH);
+    let low = pixel - min(pixel, rim);
+    let high = min(pixel + rim, SIZE - 1u);
+    var found = 0.0;
+    for (var y = low.y; y <= high.y; y++) {
+        for (var x = low.x; x <= high.x; x++) {
+            let photo = to_linear(load(picture[y * SIZE.x + x]).xyz);
+            found = max(found, min(photo.x, min(photo.y, photo.z)));
+        }
+    }
+    return found;
 }
 
 // What panes and lamps send from a pixel, and how far it belongs to one: `hyjax.light.emission`. Of each pane there
@@ -91,8 +107,9 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, own_depth: f32, shining: vec3
         let toward = emitters[first].xyz - frame.origin.xyz;
         let along = dot(toward, ray) / dot(ray, ray);
         let away = sqrt(max(dot(toward, toward) - along * along * dot(ray, ray), 1e-12));
-        var cover = clamp((1.5 * radius - away) / (width * max(along, 1e-3)) + 0.5, 0.0, 1.0) * smoothstep(0.75, 0.95, darkest);
+        var cover = clamp((1.5 * radius - away) / (width * max(along, 1e-3)) + 0.5, 0.0, 1.0);
         if (along <= 0.0 || depth <= along - 2.0 * radius - SLACK) { cover = 0.0; }
+        if (cover > 0.0) { cover *= smoothstep(0.75, 0.95, brightest_near(pixel)); }
         if (cover > 0.0 && cover >= weight) {
             weight = cover;
             let kept = emitters[first + 2u].xyz;
