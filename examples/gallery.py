@@ -7,9 +7,9 @@ HEAD = """# Gallery
 
 ![real captures, and the same frames relit](../experiments/figures/real_captures.jpg)
 
-*Real captures, and the same frames by the evening lamps, as they come (`python -m experiments.gallery
-real_captures`): a chair and an office corridor by a phone (laan labs, MIT), a printed board likewise (PSegs,
-Apache-2.0), a piano and a drum (Middlebury's stereo pictures; Scharstein et al., GCPR 2014).*
+*Real captures, and the same frames by the evening lamps and by a low sun, as they come (`python -m
+experiments.gallery real_captures`): a chair and an office corridor by a phone (laan labs, MIT), a printed board
+likewise (PSegs, Apache-2.0), a piano and a drum (Middlebury's stereo pictures; Scharstein et al., GCPR 2014).*
 
 Each example is a program of 30 to 80 lines on the built-in room:
 

@@ -1,4 +1,4 @@
-"""Picture of real captures for the documentation: photos, and the same frames relit by the evening lamps below.
+"""Picture of real captures for the documentation: photos, and the same frames by lamps and by a low sun below.
 
 Of those in `$HYJAX_DATA` whose licences let their pictures be shown: three scans by a phone, and two of
 Middlebury's stereo pairs.
@@ -21,11 +21,12 @@ DATA = Path(os.environ.get("HYJAX_DATA", ROOT.parent / "shared" / "data"))
 SCANS = {"scanner3d_chair": 8, "scanner3d_corridor": 12, "scanner3d_board": 10}
 """Folder → frame."""
 PAIRS = ("Piano", "Djembe")
+SETUPS = "evening-lamps", "golden-hour"
 SIZE = 240, 320
 
 
 def real_captures() -> UInt8[np.ndarray, "h w 3"]:
-    """Photos in one row, and relit pictures in the next.
+    """Photos in one row, and relit pictures in a row for each set-up.
 
     Raises:
         InputError: the captures are not there.
@@ -37,9 +38,11 @@ def real_captures() -> UInt8[np.ndarray, "h w 3"]:
     scenes = [(hyjax.Scene.open(one), SCANS[name]) for name, one in settings.items()]
     scenes += [(RealPlace(pair, False, "true").scene, 0) for pair in pairs]
     photos = [cut(scene.frame(frame).image) for scene, frame in scenes]
-    relit = [hyjax.to_display(scene.relit(frame, "evening-lamps").image) for scene, frame in scenes]
-    whole = beside_each_other([photos, [cut(np.asarray(picture)) for picture in relit]], SIZE[1])
-    return to_bytes(whole)
+    relit = [
+        [cut(np.asarray(hyjax.to_display(scene.relit(frame, setup).image))) for scene, frame in scenes]
+        for setup in SETUPS
+    ]
+    return to_bytes(beside_each_other([photos, *relit], SIZE[1]))
 
 
 def cut(picture: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "height width 3"]:
