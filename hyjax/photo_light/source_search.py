@@ -190,7 +190,7 @@ def _rectangles(cells: _Cells) -> list[Rectangle]:
     for mask, grows in ((cells.mask, False), (cells.mask & cells.burnt, True)):
         least_wall = LEAST_WALL_OF_BURNT if grows else LEAST_WALL_SHARE
         labels, number = _connected(mask)
-        for part, others in ((labels == k, (labels > 0) & (labels != k)) for k in range(1, number + 1)):
+        for part in (labels == k for k in range(1, number + 1)):
             if part.sum() * CELL_SIDE**2 < LEAST_AREA:
                 continue
             core = _middle(part)
@@ -200,7 +200,7 @@ def _rectangles(cells: _Cells) -> list[Rectangle]:
             sides = sorted((core[1] - core[0], core[3] - core[2]))
             if sides[0] * CELL_SIDE < 0.25 or sides[1] > LARGEST_ASPECT * sides[0]:
                 continue
-            whole = _grown(core, cells.mask & ~others) if grows else core
+            whole = _grown(core, cells.mask & ((labels == 0) | part)) if grows else core
             around = _rim(part.shape, _slices(whole))
             wall_share = float(cells.wall[around].mean()) if around.any() else 0.0
             open_share = cells.hole[_slices(whole)].mean()
