@@ -43,11 +43,9 @@ LEAST_AREA = 0.15
 LEAST_OPEN_SHARE = 0.1
 """Least share of a window that is a hole of the scan; a surface without a hole is a burnt-out wall."""
 LEAST_WALL_SHARE = 0.1
-"""Least scanned share of the wall close around a window. Sunlit ground behind an open place has none; windows that
-are found in seven generated rooms have 0.27 and more."""
+"""Least scanned share of the wall close around a window. Sunlit ground behind an open place has none."""
 LEAST_WALL_OF_BURNT = 0.5
-"""The same of a burnt-out part of a hole, which else is any part of what was not scanned. In generated rooms
-windows have 0.7 and more, a lamp's glow on a ceiling that was not scanned 0.4."""
+"""The same of a burnt-out part of a hole; with less around, it is any part of what was not scanned."""
 MOST_GROWN, GROWN_SHARE = 5, 0.8
 """Most cells that a burnt-out part grows by at each side, and least share of such a line that is a hole."""
 LARGEST_ASPECT = 10
@@ -194,19 +192,21 @@ def _rectangles(cells: _Cells) -> list[Rectangle]:
             if part.sum() * CELL_SIDE**2 < LEAST_AREA:
                 continue
             core = _middle(part)
-            inside, area = _slices(core), part[_slices(core)].size * CELL_SIDE**2
+            inside = _slices(core)
+            area = part[inside].size * CELL_SIDE**2
             if area < LEAST_AREA or part[inside].mean() < 0.6 or cells.burnt[inside].mean() < 0.25:
                 continue
             sides = sorted((core[1] - core[0], core[3] - core[2]))
             if sides[0] * CELL_SIDE < 0.25 or sides[1] > LARGEST_ASPECT * sides[0]:
                 continue
             whole = _grown(core, cells.mask & ((labels == 0) | part)) if grows else core
-            around = _rim(part.shape, _slices(whole))
+            inside = _slices(whole)
+            around = _rim(part.shape, inside)
             wall_share = float(cells.wall[around].mean()) if around.any() else 0.0
-            open_share = cells.hole[_slices(whole)].mean()
+            open_share = cells.hole[inside].mean()
             if wall_share < least_wall or open_share < LEAST_OPEN_SHARE:
                 continue
-            if cells.frames[_slices(whole)].mean() < FEWEST_FRAMES:
+            if cells.frames[inside].mean() < FEWEST_FRAMES:
                 continue
             if open_share >= 0.3 or _stands_out(cells.brightness[around], area):
                 found.append((wall_share, core, whole))
@@ -220,8 +220,7 @@ def _rectangles(cells: _Cells) -> list[Rectangle]:
 def _connected(cells: Bool[np.ndarray, "a b"]) -> tuple[Int[np.ndarray, "a b"], int]:
     """Numbered connected parts, small gaps closed and thin bridges cut, and how many there are."""
     closed = ndimage.binary_closing(np.pad(cells, 3), np.ones((3, 3)))[3:-3, 3:-3]
-    labels, number = ndimage.label(ndimage.binary_opening(closed, np.ones((3, 3))))
-    return labels, number
+    return ndimage.label(ndimage.binary_opening(closed, np.ones((3, 3))))
 
 
 def _middle(part: Bool[np.ndarray, "a b"]) -> Rectangle:

@@ -69,6 +69,7 @@ def exposed(
     brightest = np.array(
         [np.quantile(column[column > 0], 0.9) if (column > 0).any() else np.inf for column in lux.T]
     )
+    near_white = (lux * pale)[:, near].sum(axis=1)
     for _ in range(DIMMINGS):
         dimming = float(sun[parallel].min(initial=1.0))
         filled = exposure.ambient * response.filled_share * reference
@@ -80,7 +81,7 @@ def exposed(
         least = max(float(np.quantile(values / response.photo_light, 0.95)) / most for values, most in bounds)
         least = max(least, _least_unburnt(shade, seen, response))
         median = float(np.median(seen.of_cameras(bright / response.photo_light)))
-        beside_sun = (lux * pale)[:, near].sum(axis=1) + np.maximum(response.near, filled)
+        beside_sun = near_white + np.maximum(response.near, filled)
         brightest_picture = float(seen.of_cameras(beside_sun / response.photo_light).max())
         least = max(least, brightest_picture / (MOST_OVER_SHARE * exposure.share))
         before, reference = (reference, *sun), max(median / exposure.share, least, 1e-3)
@@ -95,7 +96,7 @@ def exposed(
         ambient = _least_ambient(setup, direct, bounced, seen, exposure, response)
         # Ambient light lifts what was just not burnt out; with it, everything is exposed for less. Channels count
         # in the mean, as white walls are meant: of a warm light red may burn out.
-        white = (lux * pale)[:, near].sum(axis=1) / reference + np.maximum(bounced, ambient * response.filled_share)
+        white = near_white / reference + np.maximum(bounced, ambient * response.filled_share)
         burning = max(_least_unburnt(white, seen, response), 1.0)
     lights: list[Any] = list(setup.lights)
     for number, light in enumerate(lights):

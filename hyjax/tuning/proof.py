@@ -93,10 +93,10 @@ def prove_in_time(
     least = min(budget.milliseconds for budget in budgets)
     while waiting:
         missed = found and min(candidate.time.judged for candidate in found) > least
-        rescue = [group for group in waiting if missed and group[0].name == PRESETS[-1]]
-        if found and monitor.over() and not rescue:
+        fastest = [group for group in waiting if missed and group[0].name == PRESETS[-1]]
+        if found and monitor.over() and not fastest:
             break
-        group = [*rescue, *waiting][0]
+        group = [*fastest, *waiting][0]
         waiting.remove(group)
         most_seconds = math.inf if limit is None else (OTHERS_SHARE if found else TIMING_SHARE) * limit
         progress, done = monitor.progress, monitor.done

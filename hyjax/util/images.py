@@ -122,8 +122,6 @@ def write_png(
     Raises:
         InputError: another ending than `.png`, which would be another format; or the file cannot be written.
     """
-    if path.suffix.lower() != ".png":
-        raise InputError(f"{path}: must end in .png")
     pixels = display if display.dtype == np.uint8 else to_bytes(display)
     space = {"oiio:ColorSpace": "srgb_rec709_scene"}
     _write(path, pixels, "uint8", {**space, "png:compressionLevel": PNG_LEVEL, "png:filter": PNG_FILTER})
@@ -165,7 +163,9 @@ def write_exr(path: Path, linear: Float[np.ndarray, "h w c"]) -> None:
 
 
 def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str | int]) -> None:
-    path = Path(path)
+    path, ending = Path(path), ".exr" if kind == "half" else ".png"
+    if path.suffix.lower() != ending:  # which would be another format
+        raise InputError(f"{path}: must end in {ending}")
     if pixels.ndim == 2:
         pixels = pixels[..., None]
     height, width, channels = pixels.shape

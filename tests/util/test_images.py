@@ -215,4 +215,6 @@ def test_resize_keeps_constants_and_its_own_size(picture: np.ndarray) -> None:
 def test_a_png_is_not_written_under_another_formats_name(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"a\.jpg: must end in \.png"):
         write_png(tmp_path / "a.jpg", np.zeros((4, 4, 3)))
+    with pytest.raises(InputError, match=r"a\.png: must end in \.exr"):
+        write_exr(tmp_path / "a.png", np.zeros((4, 4, 3)))
     assert not list(tmp_path.iterdir())
