@@ -37,7 +37,7 @@ DEPTH_BIAS = 1.0
 """Slack of the depth comparison, in texels."""
 LEAST_COSINE = 0.35
 """Cosine whose inverse bounds how much the error of a surface with slack counts along a ray."""
-LEAST_VIEWS = 4
+LEAST_VIEWS = 2
 """Fewest views of a light that each pixel looks up itself, where pixels share them."""
 NORMAL_COSINE, PLANE_SINE = 0.8, 0.3
 """Least cosine between normals, and largest sine between a normal's plane and the way to another point, within
@@ -163,6 +163,7 @@ def visibility(
 
     zero = jnp.zeros_like(place[0])
     sums, _ = jax.lax.scan(add_view, (zero, zero), (depth, origin, axes))
+    sums = jax.lax.optimization_barrier(sums)  # else a scan over one view is repeated for each of their uses
     lit, weight = _shared(sums, place, facing)
     if groups > 1:  # a pixel without a valid view takes the sums of its whole block
         valid, totals = weight > 0, [jnp.sum(part, axis=0) for part in sums]
