@@ -8,6 +8,7 @@ import dataclasses
 from hyjax.core.schedule import Schedule
 from hyjax.device.cascade_program import CascadeWriter
 from hyjax.device.program import Groups, Precision, Program, columns_rows, grid_of, line_of
+from hyjax.light.panes import MOST_BARS
 from hyjax.light.transport import BOUNCES
 
 RECORD_BYTES = 128
@@ -16,6 +17,8 @@ FRAME_BYTES = 128
 """Size of a frame's record (camera and data of all passes) in bytes, see `wgsl/camera.wgsl`."""
 MOST_LIGHTS = 32
 MOST_EMITTERS = 64
+EMITTER_VECTORS = 7 + MOST_BARS
+"""Number of vectors of a pane, the larger of emitters, see `wgsl/composite.wgsl`."""
 LEAF_TRIANGLES = 4
 """Number of triangles of a leaf of the ray-casting tree."""
 POINT_FIELDS = 4
@@ -112,7 +115,8 @@ def frame_program(
     totals = "cascade totals"
     bind = ["frame", "lights", "emitters", picture, "surface", repaired.buffer, totals, shadows, image, *guides]
     files = ["frame", "camera", "color", "filled", "interpolate", "lights", "composite"]
-    constants |= camera | {"emitters": 6 * MOST_EMITTERS, "lights": MOST_LIGHTS}
+    constants |= camera | {"emitters": EMITTER_VECTORS * MOST_EMITTERS, "pane": EMITTER_VECTORS}
+    constants |= {"lights": MOST_LIGHTS}
     program.launch("frame", "composite", files, bind, grid, constants=constants)
     refined = writer.upsample("cascade", repaired, LIGHT_GROUPS, stage="refined")
     if stages:
@@ -226,5 +230,5 @@ def _surface(program: Program, counts: SceneCounts, joined: bool) -> tuple[str, 
         "first": _first(joined, "count.z"),
     }
     program.launch("frame", "shading and visibility", files, bind, grid, Groups(0, 1), constants=constants)
-    program.buffer("emitters", 16 * 6 * MOST_EMITTERS, uniform=True)
+    program.buffer("emitters", 16 * EMITTER_VECTORS * MOST_EMITTERS, uniform=True)
     return light, visibility

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hyjax.device.light_records import KIND_NUMBERS, light_records
-from hyjax.device.renderer import emitter_vectors
+from hyjax.device.renderer import bar_vectors, emitter_vectors
 from hyjax.device.scene_arrays import SceneArrays
 from hyjax.light.kinds import LIGHT_KINDS, kind_name
 from hyjax.light.kinds.file_keys import REQUIRED, FileKey, plain
@@ -87,20 +87,24 @@ def describe_scene(scene: Scene, setup: LightSetup, arrays: SceneArrays) -> dict
     light_records(setup.lights, scene.occluders.mesh)
     emitters, photo = scene.photo_light.emitters(setup), scene.photo_light
     panes: Any = []
+    bars: Any = []
     lamps: Any = []
     means: Any = []
     if emitters is not None:
         emitter_vectors(emitters)
         panes, lamps, means = emitters.panes, emitters.lamps, emitters.pane_means
+        bars = [[plain(pair) for pair in bar_vectors(emitters.bars, k)] for k in range(len(panes))]
     bounds = np.asarray(scene.occluders.mesh.bounds)
     return {
         "up": plain(scene.capture.up),
         "bounds": [plain(corner) for corner in bounds],
         "slack": scene.slack,
         "mean": plain(arrays.mean),
+        "is_bounded": bool(arrays.counts.sources) and photo.estimate.exponent > 0,
         "filled_share": photo.estimate.light.filled_share,
         "sources": list(photo.estimate.names) if arrays.counts.sources else [],
         "panes": [[plain(vector) for vector in pane] for pane in np.asarray(panes)],
+        "pane_bars": bars,
         "lamps": [plain(lamp) for lamp in np.asarray(lamps)],
         "pane_means": [plain(mean) for mean in np.asarray(means)],
         "counts": dataclasses.asdict(arrays.counts),

@@ -17,6 +17,7 @@ from hyjax.device.webgpu import ShaderEngine, open_device
 from hyjax.geometry.camera import Camera
 from hyjax.light.color import to_linear
 from hyjax.light.emission import Emitters
+from hyjax.light.panes import Bars
 from hyjax.light.photo_light import least_bounced
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
@@ -93,6 +94,7 @@ class DeviceRenderer:
         for name, values in self.arrays.uploads().items():
             self.engine.upload(name, values)
         self.emitters = scene.photo_light.emitters(setup) if self._divides else None
+        self._white_share = scene.photo_light.white_share(setup) if self._divides else 0.0
         self._upload_lights(scene, self.records)
 
     def _upload_lights(self, scene: Scene, records: LightRecords) -> None:
@@ -120,7 +122,8 @@ class DeviceRenderer:
         panes, lamps = (0, 0) if self.emitters is None else (len(self.emitters.panes), len(self.emitters.lamps))
         counts = len(self.setup.lights), panes, lamps
         ambient = np.asarray(ambient_filter(self.setup.lights, float(self.setup.reference_lux)))
-        return frame_record(camera, counts, ambient, float(self.setup.reference_lux), self.arrays.mean)
+        white = (*self.arrays.mean, self._white_share)
+        return frame_record(camera, counts, ambient, float(self.setup.reference_lux), white)
 
     def relight(
         self, pixels: Float[np.ndarray, "h w 3"], camera: Camera, guide: Float[Array, "h w f"] | None = None
@@ -186,12 +189,13 @@ def frame_record(
     counts: Sequence[int],
     ambient: Float[np.ndarray, "3"],
     reference_lux: float,
-    mean: Float[np.ndarray, "3"],
+    white: Sequence[float],
 ) -> np.ndarray:
     """Record `struct Frame` of `wgsl/frame.wgsl`.
 
     Args:
         camera: None where only the lights matter.
+        white: mean light of the photos, and the share to which no surface is whiter than it shows.
     """
     record = np.zeros(32, np.float32)
     if camera is not None:
@@ -201,8 +205,17 @@ def frame_record(
         record[12:15], record[16:20] = camera.origin, (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
     record[20:24] = np.array([*counts, 0], np.uint32).view(np.float32)
     record[24:28] = (*ambient, 1.0 / reference_lux)
-    record[28:31] = mean
+    record[28:32] = white
     return record
+
+
+def bar_vectors(bars: Bars, number: int) -> Float[np.ndarray, "b 4"]:
+    """Bars of a pane: middle and half width of one along the axis to the right, and of one along the axis up.
+
+    The last vector begins with the distance of all behind the pane.
+    """
+    spans = np.concatenate(np.asarray(bars.spans)[number], axis=-1)
+    return np.stack([*spans, np.array([np.asarray(bars.recess)[number], 0, 0, 0])])
 
 
 def emitter_vectors(emitters: Emitters) -> Float[np.ndarray, "n 4"]:
@@ -214,6 +227,7 @@ def emitter_vectors(emitters: Emitters) -> Float[np.ndarray, "n 4"]:
     sent, kept = np.asarray(emitters.sent), np.asarray(emitters.kept)
     for number, pane in enumerate(panes):
         rows += [*pane, sent[number], kept[number], np.asarray(emitters.pane_means)[number]]
+        rows += [*bar_vectors(emitters.bars, number)]
     for number, lamp in enumerate(lamps, len(panes)):
         rows += [lamp, sent[number], kept[number]]
     return np.stack([np.pad(np.asarray(row, np.float32), (0, 4 - len(row))) for row in rows])

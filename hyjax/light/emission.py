@@ -15,7 +15,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from hyjax.core.finite import finite_or_zero
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
-from hyjax.light.panes import PANE_SLACK, lit_degree, pane_shares, pixel_rays, ramp
+from hyjax.light.panes import PANE_SLACK, Bars, lit_degree, pane_shares, pixel_rays, ramp
 from hyjax.util.geometry import dot
 from hyjax.util.tracing import concrete
 
@@ -43,6 +43,7 @@ class Emitters:
 
     Attributes:
         panes: centre, half-axis to the right and half-axis up of each pane.
+        bars: of the panes, which do not shine.
         lamps: position and radius of each lamp.
         sent: radiance times π of panes, then lamps, as a filter: 1 stands for white in the photo's mean light.
         kept: remaining factor of the light that each sent when the photo was taken.
@@ -51,6 +52,7 @@ class Emitters:
     """
 
     panes: Float[Array, "n 3 3"]
+    bars: Bars
     lamps: Float[Array, "m 4"]
     sent: Float[Array, "k 3"]
     kept: Float[Array, "k 3"]
@@ -204,7 +206,7 @@ def source_pixels(
     ray, depth, pixel = pixel_rays(gbuffer, pose, intrinsics)
     weight, pattern = jnp.zeros(depth.shape), jnp.ones((*depth.shape, 3))
     source = jnp.full(depth.shape, -1)
-    shares = list(pane_shares(emitters.panes, emitters.pane_means, frame, gbuffer, pose, intrinsics))
+    shares = list(pane_shares(emitters.panes, emitters.bars, emitters.pane_means, frame, gbuffer, pose, intrinsics))
     # A lamp's rim is mixed with what lies behind it, and would stay as a bright ring.
     brightness, rim = jnp.min(frame, axis=-1), 2 * -(-frame.shape[1] // RIM_WIDTH) + 1
     for window in ((rim, 1), (1, rim)):

@@ -1,5 +1,8 @@
 """Panes of windows in a frame: the pixels that show them."""
 
+import dataclasses
+import functools
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -14,28 +17,54 @@ PANE_SLACK = 0.12
 """Distance before a pane, in metres, within which a scanned surface belongs to it: bars, blinds, noise."""
 PANE_DARK, PANE_BRIGHT = 0.1, 0.3
 """Linear values of the photo between which a pixel of a pane begins to shine."""
+MOST_BARS = 6
+"""Largest number of bars of a pane in each direction."""
+NO_BAR = -1e3
+"""Half width that stands for no bar."""
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Bars:
+    """Bars of panes.
+
+    Attributes:
+        spans: of each pane, along its axes to the right and up: middle and half width of each bar, in metres from
+            the centre; a half width of `NO_BAR` for none.
+        recess: distance of the bars behind each pane, in metres.
+    """
+
+    spans: Float[Array, "n 2 b 2"]
+    recess: Float[Array, "n"]
+
+    @classmethod
+    def none(cls, count: int) -> "Bars":
+        """Bars of so many panes that have none."""
+        return cls(jnp.zeros((count, 2, MOST_BARS, 2)).at[..., 1].set(NO_BAR), jnp.zeros(count))
 
 
 @jax.jit
 def pane_shares(
     panes: Float[Array, "n 3 3"],
+    bars: Bars,
     means: Float[Array, "n 3"],
     frame: Float[Array, "h w 3"],
     gbuffer: GBuffer,
     pose: Float[Array, "4 4"],
     intrinsics: Float[Array, "3 3"],
 ) -> Float[Array, "n h w"]:
-    """Weight of each pane in each pixel, in [0, 1]."""
+    """Weight of each pane in each pixel, in [0, 1]; 0 on its bars."""
     brightness = jnp.min(frame, axis=-1)
     bright = ramp(brightness, PANE_DARK, PANE_BRIGHT)
     dark = jnp.where(gbuffer.hit, 0.0, 1.0 - ramp(brightness, PANE_UNLIT, PANE_LIT))
     lit = lit_degree(means)[:, None, None]
-    return _covers(panes, gbuffer, pose, intrinsics) * (lit * bright + (1.0 - lit) * dark)
+    return _covers(panes, bars, gbuffer, pose, intrinsics) * (lit * bright + (1.0 - lit) * dark)
 
 
 @jax.jit
 def open_shares(
     panes: Float[Array, "n 3 3"],
+    bars: Bars,
     frame: Float[Array, "h w 3"],
     gbuffer: GBuffer,
     pose: Float[Array, "4 4"],
@@ -46,7 +75,7 @@ def open_shares(
     Args: see `pane_shares`.
     """
     shown = jnp.where(gbuffer.hit, ramp(jnp.min(frame, axis=-1), PANE_DARK, PANE_BRIGHT), 1.0)
-    return _covers(panes, gbuffer, pose, intrinsics) * shown
+    return _covers(panes, bars, gbuffer, pose, intrinsics) * shown
 
 
 def lit_degree(means: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
@@ -55,19 +84,30 @@ def lit_degree(means: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
 
 
 def _covers(
-    panes: Float[Array, "n 3 3"], gbuffer: GBuffer, pose: Float[Array, "4 4"], intrinsics: Float[Array, "3 3"]
+    panes: Float[Array, "n 3 3"],
+    bars: Bars,
+    gbuffer: GBuffer,
+    pose: Float[Array, "4 4"],
+    intrinsics: Float[Array, "3 3"],
 ) -> Float[Array, "n h w"]:
     """Share of each pane in each pixel, with nothing before it."""
     ray, depth, pixel = pixel_rays(gbuffer, pose, intrinsics)
     shares = []
-    for center, right, up in panes:
+    for (center, right, up), spans, recess in zip(panes, bars.spans, bars.recess, strict=True):
         normal = cross(right, up)
         slope = dot(ray, normal)
         distance = dot(center - pose[:3, 3], normal) / jnp.where(jnp.abs(slope) > 1e-9, slope, 1e-9)
         place = pose[:3, 3] + distance[..., None] * ray - center
         # Metres inside the border, over the width of a pixel there: a border without stairs.
-        inside = [jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))) for axis in (right, up)]
-        cover = jnp.clip(jnp.minimum(*inside) / (pixel * jnp.maximum(distance, 1e-3)) + 0.5, 0.0, 1.0)
+        deeper = recess * jnp.sqrt(dot(normal, normal)) / jnp.where(slope < -1e-9, -slope, jnp.inf)
+        behind = place + deeper[..., None] * ray
+        inside = []
+        for axis, across in zip((right, up), spans, strict=True):
+            inside.append(jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))))
+            at = dot(behind, unit(axis))
+            inside += [jnp.abs(at - middle) - half for middle, half in across]
+        width = pixel * jnp.maximum(distance, 1e-3)
+        cover = jnp.clip(functools.reduce(jnp.minimum, inside) / width + 0.5, 0.0, 1.0)
         shares.append(cover * ((distance > 0) & (slope < 0) & (depth > distance - PANE_SLACK)))
     return jnp.stack(shares) if shares else jnp.zeros((0, *depth.shape))
 

@@ -17,9 +17,8 @@ from jaxtyping import Array, Float
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import SMALL_WIDTH, forget_small_frames, shrink, small_frame, spread
 from hyjax.geometry.raycast import RayCaster
-from hyjax.light.color import to_linear
 from hyjax.light.emission import Emitters, radiant_filter
-from hyjax.light.panes import open_shares
+from hyjax.light.panes import Bars
 from hyjax.light.photo_light import PhotoLight, SurfaceLight, bounced_light
 from hyjax.light.setup import LightSetup, same_setup
 from hyjax.light.shadow_map import ShadowMap
@@ -27,6 +26,7 @@ from hyjax.photo_light.estimate import Estimate, estimate_arrays, read_estimate,
 from hyjax.photo_light.hints import hinted_windows
 from hyjax.photo_light.source_arrays import sources_from_arrays, sources_to_arrays
 from hyjax.photo_light.sources import PhotoSources
+from hyjax.photo_light.window_bars import pane_arrays
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.files import digest
@@ -35,12 +35,12 @@ from hyjax.util.programs import run_kept
 
 FRAME_COUNT = 24
 """Number of frames, spread over the capture, for the estimate of the photo's light."""
-PANE_FRAMES, PANE_WIDTH = 12, 320
-"""Number of frames for the means of panes, and their longer side in pixels."""
-VERSION = 28
+VERSION = 29
 """Version of sources and estimate. Add one when either changes."""
+PANES = ("bar_spans", "bar_recess", "pane_means")
+"""Names of the arrays of `pane_arrays`."""
 _log = logging.getLogger(__name__)
-_Stored = tuple[Estimate, Float[np.ndarray, "n 3"]]
+_Stored = tuple[Estimate, Arrays]
 
 
 class ScenePhotoLight:
@@ -129,7 +129,14 @@ class ScenePhotoLight:
         if shares.any():
             lux = jnp.asarray(setup.reference_lux * shares, jnp.float32)
             kept = jnp.einsum("sc,svc->vc", lux, photo.sources, precision="highest")
-        return SurfaceLight(photo.illuminance, bounced, photo.transport.faces, self.emitters(setup), kept)
+        faces, emitters, share = photo.transport.faces, self.emitters(setup), self.white_share(setup)
+        white = photo.mean / share if share else None
+        return SurfaceLight(photo.illuminance, bounced, faces, emitters, kept, white)
+
+    def white_share(self, setup: LightSetup) -> float:
+        """Share of the bound by a white surface that holds under a set-up, see `SurfaceLight.white`."""
+        kept = self.kept(setup.existing).max(initial=0.0)
+        return max(0.0, 1.0 - float(kept)) if self.estimate.exponent else 0.0
 
     def summary(self, estimate: Estimate) -> str:
         """Line on the sources of the photos, the belief in the estimate, and the remedy where that is wrong."""
@@ -179,8 +186,9 @@ class ScenePhotoLight:
         sent = radiant_filter(setup.lights, panes, bulbs, float(setup.reference_lux))
         rows = [*range(len(windows)), *(len(windows) + number for number in formed)]  # as the sources are
         kept = self.kept(setup.existing)[rows]
+        spans, recess, means = (jax.device_put(self._stored[1][name]) for name in PANES)
         own, round_, light, left = (jax.device_put(np.asarray(a, np.float32)) for a in (panes, bulbs, sent, kept))
-        return Emitters(own, round_, light, left, self.estimate.light.mean, jax.device_put(self._stored[1]))
+        return Emitters(own, Bars(spans, recess), round_, light, left, self.estimate.light.mean, means)
 
     @functools.cached_property
     def _key(self) -> str:
@@ -200,7 +208,7 @@ class ScenePhotoLight:
 
     @functools.cached_property
     def _stored(self) -> _Stored:
-        """Estimate, and the means of panes."""
+        """Estimate, and the panes of the windows."""
         return self._read_or_made() if self._begun is None else self._begun.result()
 
     def _read_or_made(self) -> _Stored:
@@ -211,35 +219,18 @@ class ScenePhotoLight:
             known = hinted_windows(self._capture.anchors, up) if self._sources_file is None else ()
             rays = trace_scan(caster, up, known, self._progress) if known else None
             sources, frames = self.sources, self._frames
-            with ThreadPoolExecutor(1, thread_name_prefix="pane-means") as pool:
-                means = pool.submit(self._pane_means, sources)
+            with ThreadPoolExecutor(1, thread_name_prefix="panes") as pool:
+                panes = pool.submit(pane_arrays, sources.windows, frames, caster)
                 arrays = estimate_arrays(
                     caster, frames, up, sources, self._progress, rays=rays, expect=self._expect
                 )
-                return {**arrays, "pane_means": means.result()}
+                return {**arrays, **panes.result()}
 
         found = cached_arrays(
-            self._file, lambda arrays: (read_estimate(caster, arrays), arrays["pane_means"]), made
+            self._file, lambda arrays: (read_estimate(caster, arrays), {name: arrays[name] for name in PANES}), made
         )
         forget_small_frames(self._capture)  # where the estimate was kept, nobody has asked for them
         return found
-
-    def _pane_means(self, sources: PhotoSources) -> Float[np.ndarray, "n 3"]:
-        """Mean radiance of each pane in the frames, linear."""
-        windows = sources.windows
-        panes = jnp.asarray(np.array([(w.center, w.right, w.up) for w in windows]).reshape(-1, 3, 3), jnp.float32)
-        total, weight = np.zeros((len(windows), 3)), np.full(len(windows), 1e-6)
-        for frame in spread(self._frames, PANE_FRAMES) if windows else []:
-            small = shrink(frame, PANE_WIDTH)
-            matrices = small.camera.pose, small.camera.intrinsics.matrix
-            pose, intrinsics = (jnp.asarray(matrix, jnp.float32) for matrix in matrices)
-            linear = to_linear(jnp.asarray(small.image))
-            shares = open_shares(panes, linear, self._caster.gbuffer(small.camera), pose, intrinsics)
-            for number, share in enumerate(shares):
-                total[number] += np.einsum("hw,hwc->c", share, linear)
-                weight[number] += float(share.sum())
-        seen = weight > 1.0
-        return np.where(seen[:, None], total / weight[:, None], 1.0).astype(np.float32)
 
     @functools.cached_property
     def _frames(self) -> list[Frame]:

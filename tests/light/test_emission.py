@@ -11,6 +11,7 @@ from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.light.emission import PANE_REFLECTANCE, PANE_SHARE, PANE_WHITE, Emitters, emission, radiant_filter
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import AmbientLight, Aperture, Light, PointLight, RectLight
+from hyjax.light.panes import Bars
 from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.view import View
 from hyjax.pipeline import relight
@@ -38,7 +39,7 @@ def wall(depth: float = 2.0, hit: bool = True) -> GBuffer:
 def emitters(sent: np.ndarray, kept: float = 0.0, panes: np.ndarray = PANES, lamps: np.ndarray = NONE) -> Emitters:
     own, bulbs, light = (jnp.asarray(a, jnp.float32) for a in (panes, lamps, sent))
     seen = jnp.full((len(panes), 3), 0.8)
-    return Emitters(own, bulbs, light, jnp.full(light.shape, kept), jnp.full(3, 0.5), seen)
+    return Emitters(own, Bars.none(len(panes)), bulbs, light, jnp.full(light.shape, kept), jnp.full(3, 0.5), seen)
 
 
 def found(source: Emitters, frame: jnp.ndarray, gbuffer: GBuffer):  # type: ignore[no-untyped-def]

@@ -17,6 +17,7 @@ from hyjax.core.schedule import PRESETS, Schedule
 from hyjax.light.emission import Emitters, may_show, source_pixels
 from hyjax.light.gbuffer import GBuffer, sample_pixels
 from hyjax.light.kinds import PointLight, RectLight
+from hyjax.light.panes import Bars
 from hyjax.light.shadow_map import ShadowMap, visibility
 from hyjax.util.errors import InputError
 from hyjax.util.geometry import angle
@@ -210,8 +211,9 @@ def test_sources_that_cannot_show_do_not(seed: int) -> None:
     panes = np.concatenate([rng.normal(size=(1, 1, 3)) * 2, rng.normal(size=(1, 2, 3)) * 0.5], axis=1)
     panes[:, 2] -= panes[:, 1] * np.sum(panes[:, 1] * panes[:, 2]) / np.sum(panes[:, 1] ** 2)
     lamps = np.concatenate([rng.normal(size=(1, 3)) * 2, rng.uniform(0.05, 0.3, (1, 1))], axis=1)
-    arrays = [panes, lamps, np.ones((2, 3)), np.zeros((2, 3)), np.ones(3), np.ones((1, 3))]
-    emitters = Emitters(*(jnp.asarray(a, jnp.float32) for a in arrays))
+    arrays = [lamps, np.ones((2, 3)), np.zeros((2, 3)), np.ones(3), np.ones((1, 3))]
+    own, *rest = (jnp.asarray(a, jnp.float32) for a in (panes, *arrays))
+    emitters = Emitters(own, Bars.none(1), *rest)
     nothing = GBuffer(
         jnp.zeros((h, w, 3)), jnp.zeros((h, w, 3)), jnp.zeros((h, w)), jnp.zeros((h, w), bool)
     )  # nothing stands before the sources
@@ -222,7 +224,7 @@ def test_sources_that_cannot_show_do_not(seed: int) -> None:
 
 def test_a_source_behind_the_camera_cannot_show() -> None:
     pane = jnp.array([[[0.0, 0.0, -3.0], [0.5, 0.0, 0.0], [0.0, 0.5, 0.0]]])
-    rest = jnp.zeros((0, 4)), jnp.ones((1, 3)), jnp.zeros((1, 3)), jnp.ones(3), jnp.ones((1, 3))
+    rest = Bars.none(1), jnp.zeros((0, 4)), jnp.ones((1, 3)), jnp.zeros((1, 3)), jnp.ones(3), jnp.ones((1, 3))
     intrinsics = np.array([[10.0, 0, 5], [0, 10, 5], [0, 0, 1]])
     assert not may_show(Emitters(pane, *rest), (10, 10), np.eye(4), intrinsics)
     assert may_show(Emitters(-pane, *rest), (10, 10), np.eye(4), intrinsics)

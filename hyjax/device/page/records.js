@@ -147,7 +147,7 @@ export function emitterVectors(lights, reference, existing, scene) {
   const sent = radiantFilter(lights, scene, reference);
   const kept = sent.map((_, k) => existing[scene.sources[k]] ?? [0, 0, 0]);
   const rows = [];
-  scene.panes.forEach((pane, k) => rows.push(...pane, sent[k], kept[k], scene.pane_means[k]));
+  scene.panes.forEach((pane, k) => rows.push(...pane, sent[k], kept[k], scene.pane_means[k], ...scene.pane_bars[k]));
   scene.lamps.forEach((lamp, k) => rows.push(lamp, sent[scene.panes.length + k], kept[scene.panes.length + k]));
   return new Float32Array(rows.flatMap((row) => [...row, 0].slice(0, 4)));
 }
@@ -157,7 +157,7 @@ export function emitterVectors(lights, reference, existing, scene) {
  * @param camera { right, down, forward, origin, intrinsics }
  * @param options counts: of lights, panes and lamps; albedo: whether the frame is the mesh's own albedo
  */
-export function frameRecord(camera, { counts, albedo, ambient, reference, mean }) {
+export function frameRecord(camera, { counts, albedo, ambient, reference, mean, whiteShare }) {
   const words = new Float32Array(32);
   words.set(camera.right, 0);
   words.set(camera.down, 4);
@@ -166,6 +166,6 @@ export function frameRecord(camera, { counts, albedo, ambient, reference, mean }
   words.set(camera.intrinsics, 16);
   new Uint32Array(words.buffer).set([...counts, Number(albedo)], 20);
   words.set([...ambient, 1 / reference], 24);
-  words.set(mean, 28);
+  words.set([...mean, whiteShare], 28);
   return words;
 }

@@ -10,6 +10,7 @@
 @group(0) @binding(8) var<storage, read_write> image: array<vec4<f32>>; // linear; w: how far it shines by itself
 $guide_bindings
 
+const PANE = ${pane}u; // vectors of one
 const PANE_REFLECTANCE = 0.04;
 const LAMP_REFLECTANCE = 0.6;
 const PANE_SHARE = 0.4;
@@ -37,7 +38,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         }
     }
     let photo_light = completed(interpolated(corners, 1u), weight, totals[1], total_weight).xyz;
-    var relight_filter = shining / max(photo_light, vec3<f32>(LEAST_PHOTO_LIGHT));
+    let whitest = photo * frame.mean.w / frame.mean.xyz; // no surface is whiter than white
+    var relight_filter = shining / max(max(photo_light, vec3<f32>(LEAST_PHOTO_LIGHT)), whitest);
     if (totals[0].w <= 0.0) { relight_filter = frame.ambient.xyz; }
     var result = relight_filter * photo;
     let emission = emission_at(id.xy, photo, surface[pixel].w, shining);
@@ -68,7 +70,7 @@ fn brightest_near(pixel: vec2<u32>) -> f32 {
 }
 
 // What panes and lamps send from a pixel, and how far it belongs to one: `hyjax.light.emission`. Of each pane there
-// are centre, right, up, sent, kept and mean; of each lamp position with radius, sent and kept.
+// are centre, right, up, sent, kept, mean and bars; of each lamp position with radius, sent and kept.
 fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, own_depth: f32, shining: vec3<f32>) -> vec4<f32> {
     let ray = ray_of_pixel(frame, pixel);
     let depth = select(1e30, own_depth, own_depth > 0.0);
@@ -78,15 +80,23 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, own_depth: f32, shining: vec3
     var weight = 0.0;
     var sent = vec3<f32>(0.0);
     for (var k = 0u; k < frame.counts.y; k++) {
-        let center = emitters[6u * k].xyz;
-        let right = emitters[6u * k + 1u].xyz;
-        let up = emitters[6u * k + 2u].xyz;
+        let center = emitters[PANE * k].xyz;
+        let right = emitters[PANE * k + 1u].xyz;
+        let up = emitters[PANE * k + 2u].xyz;
         let normal = cross(right, up);
         let slope = dot(ray, normal);
         let distance = dot(center - frame.origin.xyz, normal) / select(1e-9, slope, abs(slope) > 1e-9);
         let place = frame.origin.xyz + distance * ray - center;
-        let inside = min(length(right) - abs(dot(place, normalize(right))), length(up) - abs(dot(place, normalize(up))));
-        let mean = emitters[6u * k + 5u].xyz;
+        let axes = mat2x3<f32>(normalize(right), normalize(up));
+        let at_pane = place * axes;
+        var inside = min(length(right) - abs(at_pane.x), length(up) - abs(at_pane.y));
+        let recess = emitters[PANE * k + PANE - 1u].x * length(normal) / select(1e9, -slope, slope < -1e-9);
+        let at = (place + recess * ray) * axes;
+        for (var bar = 6u; bar < PANE - 1u; bar++) {
+            let own = emitters[PANE * k + bar];
+            inside = min(inside, min(abs(at.x - own.x) - own.y, abs(at.y - own.z) - own.w));
+        }
+        let mean = emitters[PANE * k + 5u].xyz;
         let lit = smoothstep(PANE_UNLIT, PANE_LIT, min(mean.x, min(mean.y, mean.z)));
         let dark = select(1.0 - smoothstep(PANE_UNLIT, PANE_LIT, darkest), 0.0, own_depth > 0.0);
         var cover = clamp(inside / (width * max(distance, 1e-3)) + 0.5, 0.0, 1.0)
@@ -94,15 +104,15 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, own_depth: f32, shining: vec3
         if (distance <= 0.0 || slope >= 0.0 || depth <= distance - SLACK) { cover = 0.0; }
         if (cover > 0.0 && cover >= weight) {
             weight = cover;
-            let kept = emitters[6u * k + 4u].xyz;
+            let kept = emitters[PANE * k + 4u].xyz;
             let pane = select(photo, mean, hole);
             let pattern = mix(vec3<f32>(1.0), pane / max(mean, vec3<f32>(1e-3)), lit);
-            sent = view_light(emitters[6u * k + 3u].xyz * frame.mean.xyz, mean) * pattern + kept * pane
+            sent = view_light(emitters[PANE * k + 3u].xyz * frame.mean.xyz, mean) * pattern + kept * pane
                 + PANE_REFLECTANCE * frame.mean.xyz * max(1.0 - kept, vec3<f32>(0.0)) * shining;
         }
     }
     for (var k = 0u; k < frame.counts.z; k++) {
-        let first = 6u * frame.counts.y + 3u * k;
+        let first = PANE * frame.counts.y + 3u * k;
         let radius = emitters[first].w;
         let toward = emitters[first].xyz - frame.origin.xyz;
         let along = dot(toward, ray) / dot(ray, ray);

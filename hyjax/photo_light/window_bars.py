@@ -1,0 +1,209 @@
+"""Bars of windows, from the photos: where they divide the glass, and how deep they stand in the opening.
+
+A window's frame and bars reflect the light of the room, and stay where they are while the view moves behind them.
+In pictures brought onto their plane they are straight edges along the window's sides, at the same places in all
+frames; on any other plane they are blurred.
+"""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from hyjax.data.capture import Frame
+from hyjax.data.frames import shrink, spread
+from hyjax.geometry.raycast import RayCaster
+from hyjax.light.color import to_linear
+from hyjax.light.gbuffer import GBuffer
+from hyjax.light.panes import MOST_BARS, PANE_SLACK, Bars, open_shares
+from hyjax.photo_light.sources import PhotoWindow
+from hyjax.util.cache import Arrays
+
+SURFACE_WIDTH = 320
+"""Longer side, in pixels, at which the surface before windows is seen."""
+MEAN_FRAMES = 12
+"""Number of frames for the means of panes."""
+STEP = 0.01
+"""Metres between points across an edge."""
+EDGE_POINTS = 24
+"""Points along each edge."""
+RECESSES = np.arange(0.0, 0.25, 0.03)
+"""Distances in metres of the frame behind the wall that are tried."""
+EDGE_CONTRAST = 0.02
+"""Display value by which the picture changes at an edge."""
+EDGE_SHARE = 0.6
+"""Share of an edge's points at which it is seen, in the mean of the frames."""
+PEAK_SHARE = 0.3
+"""Share of the largest change within a bar from which another is a side of it, and no noise."""
+SEEN_SHARE = 0.3
+"""Share of an edge's points that a frame must see to count for it."""
+WIDEST_BAR, NARROWEST_BAR = 0.14, 0.02
+"""Metres; what is wider is no bar but a blind, or the edge of something behind."""
+WIDEST_FRAME, LARGEST_RIM = 0.15, 0.3
+"""Largest width, in metres, of the outermost bars, the frame itself, and as a share of the window's half."""
+MARGIN = 0.005
+"""Metres beside each edge that count as glass: what the lens mixes there is mostly the brighter sky."""
+BEYOND = 1.0
+"""Distance in metres beyond the opening to which the frame counts."""
+LEAST_COSINE, LARGEST_PIXEL = 0.25, 0.02
+"""Cosine of the view onto a window, and width in metres of a pixel on it, beyond which a picture shows no bars."""
+LEAST_FRAMES, LEAST_BASELINE = 2, 0.2
+"""Number of frames that must see a window, and the distance in metres between two of their cameras: in pictures
+from one place, what lies outside stands still, too."""
+
+
+def pane_arrays(windows: Sequence[PhotoWindow], frames: Sequence[Frame], caster: RayCaster) -> Arrays:
+    """Bars of windows, and the mean radiance of their panes in the frames.
+
+    Returns:
+        `bar_spans` and `bar_recess`, see `Bars`, and `pane_means`, linear.
+    """
+    seeing = [frame for frame in frames if any(_sees(window, frame) for window in windows)]
+    views = [(frame, caster.gbuffer(shrink(frame, SURFACE_WIDTH).camera)) for frame in seeing]
+    bars = window_bars(windows, views)
+    panes = np.array([(w.center, w.right, w.up) for w in windows], np.float32).reshape(-1, 3, 3)
+    total, weight = np.zeros((len(windows), 3)), np.full(len(windows), 1e-6)
+    for frame, gbuffer in spread(views, MEAN_FRAMES):
+        small = shrink(frame, SURFACE_WIDTH)
+        linear = to_linear(jnp.asarray(small.image))
+        camera = (jnp.asarray(m, jnp.float32) for m in (small.camera.pose, small.camera.intrinsics.matrix))
+        for number, share in enumerate(open_shares(jnp.asarray(panes), bars, linear, gbuffer, *camera)):
+            total[number] += np.einsum("hw,hwc->c", share, linear)
+            weight[number] += float(share.sum())
+    means = np.where((weight > 1.0)[:, None], total / weight[:, None], 1.0).astype(np.float32)
+    return {"bar_spans": np.asarray(bars.spans), "bar_recess": np.asarray(bars.recess), "pane_means": means}
+
+
+def window_bars(windows: Sequence[PhotoWindow], views: Sequence[tuple[Frame, GBuffer]]) -> Bars:
+    """Bars of windows as frames show them; none where too few frames see a window.
+
+    Args:
+        views: frames with the surface that they see, of any size.
+    """
+    none = Bars.none(len(windows))
+    spans, recesses = np.array(none.spans), np.array(none.recess)
+    for which, window in enumerate(windows):
+        seeing = [(frame, gbuffer) for frame, gbuffer in views if _sees(window, frame) and _resolves(window, frame)]
+        places = np.array([frame.camera.origin for frame, _ in seeing])
+        if len(seeing) < LEAST_FRAMES or np.linalg.norm(places - places[0], axis=1).max() < LEAST_BASELINE:
+            continue
+        pictures = [(frame, np.asarray(frame.image, np.float32).mean(-1), gbuffer) for frame, gbuffer in seeing]
+        found = [[_edges(window, axis, recess, pictures) for axis in (0, 1)] for recess in RECESSES]
+        best = int(np.argmax([sum(float((shares**3).sum()) for shares, _ in edges) for edges in found]))
+        for axis, (side, edges) in enumerate(zip((window.right, window.up), found[best], strict=True)):
+            bars = _bars(float(np.linalg.norm(side)), edges)
+            for number, (first, last) in enumerate(bars if len(bars) <= MOST_BARS else []):
+                spans[which, axis, number] = (first + last) / 2, (last - first) / 2
+        recesses[which] = RECESSES[best]
+    return Bars(jnp.asarray(spans), jnp.asarray(recesses))
+
+
+def _sees(window: PhotoWindow, frame: Frame) -> bool:
+    """Whether a frame shows some of a window, from the room."""
+    camera, k = frame.camera, frame.camera.intrinsics
+    if (camera.origin - window.center) @ window.normal <= 0:
+        return False
+    across = np.linspace(-1.0, 1.0, 5)[:, None]
+    points = window.center + (across * window.right)[:, None] + across * window.up
+    pixels, depth = camera.project(points)
+    x, y = np.moveaxis(pixels, -1, 0)
+    return bool(((depth > 0.1) & (x >= 0) & (x < k.width) & (y >= 0) & (y < k.height)).any())
+
+
+def _resolves(window: PhotoWindow, frame: Frame) -> bool:
+    """Whether a frame looks straight enough at a window, and from near enough, to show its bars."""
+    away = frame.camera.origin - window.center
+    distance = float(np.linalg.norm(away))
+    cosine = float(away @ window.normal) / distance
+    return cosine > LEAST_COSINE and distance / frame.camera.intrinsics.fx / cosine < LARGEST_PIXEL
+
+
+def _places(half: float) -> Float[np.ndarray, "n"]:
+    """Places across a window of which edges are looked for, metres from its middle."""
+    return np.arange(-half - 2 * STEP, half + 2 * STEP, STEP)
+
+
+def _edges(
+    window: PhotoWindow,
+    axis: int,
+    recess: float,
+    pictures: Sequence[tuple[Frame, Float[np.ndarray, "h w"], GBuffer]],
+) -> Float[np.ndarray, "2 n"]:
+    """Share of the points along the other axis at which the pictures change at each place of one, and by how much.
+
+    Both are means of the frames.
+    """
+    along, across = (window.right, window.up) if axis == 0 else (window.up, window.right)
+    half = float(np.linalg.norm(along))
+    places = _places(half)
+    total, count = np.zeros((2, len(places))), np.zeros(len(places))
+    lines = np.linspace(-0.95, 0.95, EDGE_POINTS)
+    points = window.center - recess * window.normal
+    points = points + places[:, None, None] * (along / half) + lines[:, None] * across
+    for frame, picture, gbuffer in pictures:
+        values, seen = _seen(points, window, recess, frame, picture, gbuffer)
+        change, valid = np.abs(values[2:] - values[:-2]), seen[2:] & seen[:-2]
+        points_seen = valid.sum(axis=1)
+        counts = points_seen >= SEEN_SHARE * EDGE_POINTS
+        for row, of_points in enumerate((change > EDGE_CONTRAST, change)):
+            total[row, 1:-1] += np.where(counts, (of_points * valid).sum(axis=1) / np.maximum(points_seen, 1), 0.0)
+        count[1:-1] += counts
+    # Without the edge of the opening itself: that is sharpest on the plane of the wall.
+    counted = (count >= LEAST_FRAMES) & (np.abs(places) < half - 2 * STEP)
+    return np.where(counted, total / np.maximum(count, 1), 0.0)
+
+
+def _seen(
+    points: Float[np.ndarray, "n m 3"],
+    window: PhotoWindow,
+    recess: float,
+    frame: Frame,
+    picture: Float[np.ndarray, "h w"],
+    gbuffer: GBuffer,
+) -> tuple[Float[np.ndarray, "n m"], Bool[np.ndarray, "n m"]]:
+    """Values of a picture at points of a window's frame, and whether nothing stands before them."""
+    camera, (height, width) = frame.camera, picture.shape
+    pixels, depth = camera.project(points)
+    x, y = np.moveaxis(pixels, -1, 0)
+    inside = (depth > 0.1) & (x >= 0.5) & (x < width - 0.5) & (y >= 0.5) & (y < height - 0.5)
+    u, v = (np.clip(np.where(inside, c, 1.0) - 0.5, 0, n - 1.001) for c, n in ((x, width), (y, height)))
+    column, row = u.astype(int), v.astype(int)
+    right, down = u - column, v - row
+    upper = picture[row, column] * (1 - right) + picture[row, column + 1] * right
+    lower = picture[row + 1, column] * (1 - right) + picture[row + 1, column + 1] * right
+    hit, seen_depth = np.asarray(gbuffer.hit), np.asarray(gbuffer.depth)
+    scale = hit.shape[0] / height
+    pixel = tuple(np.clip(c * scale, 0, n - 1).astype(int) for c, n in zip((v, u), hit.shape, strict=True))
+    away = camera.origin - window.center
+    slack = (PANE_SLACK + recess) / max(float(away @ window.normal) / float(np.linalg.norm(away)), LEAST_COSINE)
+    free = np.where(hit, seen_depth, np.inf)[pixel] > depth - slack
+    return upper * (1 - down) + lower * down, inside & free
+
+
+def _bars(half: float, edges: Float[np.ndarray, "2 n"]) -> list[tuple[float, float]]:
+    """First and last place of each bar across an axis, from `_edges`, the outermost ones being the frame's."""
+    places, (shares, change) = _places(half), edges
+    change = np.where(shares > EDGE_SHARE, change, 0.0)
+    low, high, width = -half, half, min(WIDEST_FRAME, LARGEST_RIM * half)
+    bars = []
+    if (side := np.where(places < width - half, change, 0.0)).any():
+        low = float(places[side.argmax()])
+        bars.append((-half - BEYOND, low - MARGIN))
+    if (side := np.where(places > half - width, change, 0.0)).any():
+        high = float(places[side.argmax()])
+        bars.append((high + MARGIN, half + BEYOND))
+    inside = np.flatnonzero((change > 0) & (places > low + NARROWEST_BAR) & (places < high - NARROWEST_BAR))
+    for run in np.split(inside, np.flatnonzero(np.diff(places[inside]) > WIDEST_BAR) + 1) if len(inside) else []:
+        first, last = _outermost(places[run[0] : run[-1] + 1], change[run[0] : run[-1] + 1])
+        if NARROWEST_BAR <= last - first <= WIDEST_BAR:
+            bars.append((first + MARGIN, last - MARGIN))
+    return bars
+
+
+def _outermost(places: Float[np.ndarray, "n"], change: Float[np.ndarray, "n"]) -> tuple[float, float]:
+    """First and last place where the change is largest nearby."""
+    around = np.pad(change, 1)
+    peaks = (change >= around[:-2]) & (change >= around[2:]) & (change >= PEAK_SHARE * change.max())
+    found = places[peaks]
+    return float(found[0]), float(found[-1])
