@@ -204,14 +204,12 @@ def cascade_calls(
 
 def _surface_alone(shaded: Shaded) -> Shaded:
     """Light without emission: frames with and without emitting pixels share a program."""
-    return dataclasses.replace(shaded, emission=None, white=None)
+    return dataclasses.replace(shaded, emission=None)
 
 
 def _lights_alone(shaded: Shaded) -> Shaded:
     """Light of the lights alone, whose visibility is refined."""
-    return dataclasses.replace(
-        shaded, bounced=None, photo_light=None, emission=None, refined_photo_light=None, white=None
-    )
+    return dataclasses.replace(shaded, bounced=None, photo_light=None, emission=None, refined_photo_light=None)
 
 
 def _factor(full: tuple[int, ...], size: tuple[int, ...]) -> int:

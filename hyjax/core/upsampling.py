@@ -87,8 +87,6 @@ def upsample_between(
         return y
     if y.shape[:2] == (1, 1):  # however much wider than the picture the cell is
         return jnp.broadcast_to(y, (*guide.shape[:2], y.shape[-1]))
-    if y.shape[-1] == 1:  # XLA's CPU backend takes twice as long for one channel as for two
-        return upsample_between(jnp.concatenate([y, y], -1), factor, guide, coarse, kappa, norm=norm)[..., :1]
     (rows, columns, _), (height, width, _) = y.shape, guide.shape
     guide, coarse = finite_or_zero(guide), finite_or_zero(coarse)
     start = (factor + 1) // 2  # pixels between the centre of the cell before the first one and the picture

@@ -18,7 +18,7 @@ FRAME_BYTES = 128
 MOST_LIGHTS = 32
 MOST_EMITTERS = 64
 EMITTER_VECTORS = 7 + MOST_BARS
-"""Number of vectors of a pane, the larger of emitters, see `wgsl/composite.wgsl`."""
+"""Number of vectors of a pane, see `wgsl/composite.wgsl`; a lamp has three."""
 LEAF_TRIANGLES = 4
 """Number of triangles of a leaf of the ray-casting tree."""
 POINT_FIELDS = 4

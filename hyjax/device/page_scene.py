@@ -100,7 +100,6 @@ def describe_scene(scene: Scene, setup: LightSetup, arrays: SceneArrays) -> dict
         "bounds": [plain(corner) for corner in bounds],
         "slack": scene.slack,
         "mean": plain(arrays.mean),
-        "is_bounded": bool(arrays.counts.sources) and photo.estimate.exponent > 0,
         "filled_share": photo.estimate.light.filled_share,
         "sources": list(photo.estimate.names) if arrays.counts.sources else [],
         "panes": [[plain(vector) for vector in pane] for pane in np.asarray(panes)],

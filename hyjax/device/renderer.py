@@ -17,7 +17,7 @@ from hyjax.device.webgpu import ShaderEngine, open_device
 from hyjax.geometry.camera import Camera
 from hyjax.light.color import to_linear
 from hyjax.light.emission import Emitters
-from hyjax.light.panes import Bars
+from hyjax.light.panes import MOST_BARS, NO_BAR, Bars
 from hyjax.light.photo_light import least_bounced
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
@@ -94,7 +94,6 @@ class DeviceRenderer:
         for name, values in self.arrays.uploads().items():
             self.engine.upload(name, values)
         self.emitters = scene.photo_light.emitters(setup) if self._divides else None
-        self._white_share = scene.photo_light.white_share(setup) if self._divides else 0.0
         self._upload_lights(scene, self.records)
 
     def _upload_lights(self, scene: Scene, records: LightRecords) -> None:
@@ -122,8 +121,7 @@ class DeviceRenderer:
         panes, lamps = (0, 0) if self.emitters is None else (len(self.emitters.panes), len(self.emitters.lamps))
         counts = len(self.setup.lights), panes, lamps
         ambient = np.asarray(ambient_filter(self.setup.lights, float(self.setup.reference_lux)))
-        white = (*self.arrays.mean, self._white_share)
-        return frame_record(camera, counts, ambient, float(self.setup.reference_lux), white)
+        return frame_record(camera, counts, ambient, float(self.setup.reference_lux), self.arrays.mean)
 
     def relight(
         self, pixels: Float[np.ndarray, "h w 3"], camera: Camera, guide: Float[Array, "h w f"] | None = None
@@ -189,13 +187,12 @@ def frame_record(
     counts: Sequence[int],
     ambient: Float[np.ndarray, "3"],
     reference_lux: float,
-    white: Sequence[float],
+    mean: Float[np.ndarray, "3"],
 ) -> np.ndarray:
     """Record `struct Frame` of `wgsl/frame.wgsl`.
 
     Args:
         camera: None where only the lights matter.
-        white: mean light of the photos, and the share to which no surface is whiter than it shows.
     """
     record = np.zeros(32, np.float32)
     if camera is not None:
@@ -205,7 +202,7 @@ def frame_record(
         record[12:15], record[16:20] = camera.origin, (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
     record[20:24] = np.array([*counts, 0], np.uint32).view(np.float32)
     record[24:28] = (*ambient, 1.0 / reference_lux)
-    record[28:32] = white
+    record[28:31] = mean
     return record
 
 
@@ -215,6 +212,7 @@ def bar_vectors(bars: Bars, number: int) -> Float[np.ndarray, "b 4"]:
     The last vector begins with the distance of all behind the pane.
     """
     spans = np.concatenate(np.asarray(bars.spans)[number], axis=-1)
+    spans = np.concatenate([spans, np.tile([0.0, NO_BAR], (MOST_BARS - len(spans), 2))])
     return np.stack([*spans, np.array([np.asarray(bars.recess)[number], 0, 0, 0])])
 
 

@@ -17,7 +17,7 @@ PANE_SLACK = 0.12
 """Distance before a pane, in metres, within which a scanned surface belongs to it: bars, blinds, noise."""
 PANE_DARK, PANE_BRIGHT = 0.1, 0.3
 """Linear values of the photo between which a pixel of a pane begins to shine."""
-MOST_BARS = 6
+MOST_BARS = 8
 """Largest number of bars of a pane in each direction."""
 NO_BAR = -1e3
 """Half width that stands for no bar."""
@@ -40,7 +40,7 @@ class Bars:
     @classmethod
     def none(cls, count: int) -> "Bars":
         """Bars of so many panes that have none."""
-        return cls(jnp.zeros((count, 2, MOST_BARS, 2)).at[..., 1].set(NO_BAR), jnp.zeros(count))
+        return cls(jnp.zeros((count, 2, 0, 2)), jnp.zeros(count))
 
 
 @jax.jit

@@ -142,8 +142,6 @@ class SurfaceLight:
         faces: of the scan.
         emitters: panes and lamps that shine by themselves.
         kept: lux of the photo's own sources that stay on; None where all are off.
-        white: picture of a white surface in the photo's mean light K, linear, over the share of its sources that go
-            out: what shines on may be whiter. None for none.
     """
 
     photo_light: Float[Array, "v 3"]
@@ -151,7 +149,6 @@ class SurfaceLight:
     faces: Int[Array, "f 3"]
     emitters: Emitters | None = None
     kept: Float[Array, "v 3"] | None = None
-    white: Float[Array, "3"] | None = None
 
     @functools.cached_property
     def is_even(self) -> bool:
@@ -201,9 +198,7 @@ def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, direct: Bool[Arr
     illuminance = jnp.where(direct, shaded.illuminance, 0.0)
     photo_light = on_pixels(light.photo_light, light.faces, gbuffer)
     indirect = indirect_on_pixels(light, gbuffer)
-    return dataclasses.replace(
-        shaded, illuminance=illuminance, bounced=indirect, photo_light=photo_light, white=light.white
-    )
+    return dataclasses.replace(shaded, illuminance=illuminance, bounced=indirect, photo_light=photo_light)
 
 
 def indirect_on_pixels(light: SurfaceLight, gbuffer: GBuffer) -> Float[Array, "h w 3"] | None:

@@ -48,7 +48,7 @@ def relit_picture(
     frame = finite_or_zero(frame)
     direct, fields = _split(illuminance, shaded)
     light = _light(direct * visibility, shaded, fields)
-    relight_filter = _or_ambient(_divide(light, shaded, fields, frame), shaded)
+    relight_filter = _or_ambient(_divide(light, shaded, fields), shaded)
     return relight_filter, _with_emission(composite(relight_filter, frame), light, shaded)
 
 
@@ -69,7 +69,7 @@ def compared(
     )
     raw, raw_shadowed = (_repeated(sample, shaded.sampling, frame.shape) for sample in samples)
     direct, fields = _split(illuminance, shaded)
-    refined = _or_ambient(_divide(_light(direct, shaded, fields), shaded, fields, frame), shaded)
+    refined = _or_ambient(_divide(_light(direct, shaded, fields), shaded, fields), shaded)
     visible, unrefined = ratio(relight_filter, refined), composite(raw_shadowed, frame)
     unrefined = _with_emission(unrefined, _light(direct * visibility, shaded, fields), shaded)
     return Relit(raw, refined, visible, relight_filter, unrefined, image)
@@ -115,19 +115,10 @@ def _light(
 
 
 def _divide(
-    light: Float[Array, "h w 3"],
-    shaded: Shaded,
-    fields: Sequence[Float[Array, "h w 3"]],
-    frame: Float[Array, "h w 3"] | None = None,
+    light: Float[Array, "h w 3"], shaded: Shaded, fields: Sequence[Float[Array, "h w 3"]]
 ) -> Float[Array, "h w 3"]:
-    """Relight filter: new light over the light of the photo.
-
-    No surface is whiter than white: where the frame is, its light was more than the estimate has.
-    """
-    if shaded.photo_light is None:
-        return light
-    old = jnp.maximum(fields[-1], LEAST_PHOTO_LIGHT)
-    return light / (old if frame is None or shaded.white is None else jnp.maximum(old, frame / shaded.white))
+    """Relight filter: new light over the light of the photo."""
+    return light if shaded.photo_light is None else light / jnp.maximum(fields[-1], LEAST_PHOTO_LIGHT)
 
 
 @jax.jit

@@ -32,7 +32,6 @@ class Shaded:
         photo_light: illuminance of the photographed frame, relative to its mean; None if assumed even.
         emission: emitting pixels; None if there are none.
         refined_photo_light: `photo_light` of all pixels refined before; None to refine it with the rest.
-        white: linear picture of a white surface in the photo's mean light: none is whiter. None if unknown.
         sampling: the light is that of one pixel in each block of so many by so many (static); emission is whole.
     """
 
@@ -46,7 +45,6 @@ class Shaded:
     photo_light: Float[Array, "h w 3"] | None = None
     emission: Emission | None = None
     refined_photo_light: Float[Array, "fh fw 3"] | None = None
-    white: Float[Array, "3"] | None = None
     sampling: int = dataclasses.field(default=1, metadata={"static": True})
 
     @property

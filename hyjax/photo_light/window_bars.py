@@ -11,12 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from hyjax.core.finite import finite_or_zero
 from hyjax.data.capture import Frame
 from hyjax.data.frames import shrink, spread
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_linear
 from hyjax.light.gbuffer import GBuffer
-from hyjax.light.panes import MOST_BARS, PANE_SLACK, Bars, open_shares
+from hyjax.light.panes import MOST_BARS, NO_BAR, PANE_SLACK, Bars, open_shares
 from hyjax.photo_light.sources import PhotoWindow
 from hyjax.util.cache import Arrays
 
@@ -42,15 +43,12 @@ WIDEST_BAR, NARROWEST_BAR = 0.14, 0.02
 """Metres; what is wider is no bar but a blind, or the edge of something behind."""
 WIDEST_FRAME, LARGEST_RIM = 0.15, 0.3
 """Largest width, in metres, of the outermost bars, the frame itself, and as a share of the window's half."""
-MARGIN = 0.005
-"""Metres beside each edge that count as glass: what the lens mixes there is mostly the brighter sky."""
 BEYOND = 1.0
 """Distance in metres beyond the opening to which the frame counts."""
 LEAST_COSINE, LARGEST_PIXEL = 0.25, 0.02
 """Cosine of the view onto a window, and width in metres of a pixel on it, beyond which a picture shows no bars."""
-LEAST_FRAMES, LEAST_BASELINE = 2, 0.2
-"""Number of frames that must see a window, and the distance in metres between two of their cameras: in pictures
-from one place, what lies outside stands still, too."""
+LEAST_BASELINE = 0.2
+"""Extent in metres of the cameras that see an edge: from one place, what lies outside stands still, too."""
 
 
 def pane_arrays(windows: Sequence[PhotoWindow], frames: Sequence[Frame], caster: RayCaster) -> Arrays:
@@ -59,14 +57,14 @@ def pane_arrays(windows: Sequence[PhotoWindow], frames: Sequence[Frame], caster:
     Returns:
         `bar_spans` and `bar_recess`, see `Bars`, and `pane_means`, linear.
     """
-    seeing = [frame for frame in frames if any(_sees(window, frame) for window in windows)]
+    seeing = [frame for frame in frames if any(shows(window, frame) for window in windows)]
     views = [(frame, caster.gbuffer(shrink(frame, SURFACE_WIDTH).camera)) for frame in seeing]
     bars = window_bars(windows, views)
     panes = np.array([(w.center, w.right, w.up) for w in windows], np.float32).reshape(-1, 3, 3)
     total, weight = np.zeros((len(windows), 3)), np.full(len(windows), 1e-6)
     for frame, gbuffer in spread(views, MEAN_FRAMES):
         small = shrink(frame, SURFACE_WIDTH)
-        linear = to_linear(jnp.asarray(small.image))
+        linear = finite_or_zero(to_linear(jnp.asarray(small.image)))
         camera = (jnp.asarray(m, jnp.float32) for m in (small.camera.pose, small.camera.intrinsics.matrix))
         for number, share in enumerate(open_shares(jnp.asarray(panes), bars, linear, gbuffer, *camera)):
             total[number] += np.einsum("hw,hwc->c", share, linear)
@@ -81,34 +79,30 @@ def window_bars(windows: Sequence[PhotoWindow], views: Sequence[tuple[Frame, GBu
     Args:
         views: frames with the surface that they see, of any size.
     """
-    none = Bars.none(len(windows))
-    spans, recesses = np.array(none.spans), np.array(none.recess)
+    spans, recesses = np.zeros((len(windows), 2, MOST_BARS, 2), np.float32), np.zeros(len(windows), np.float32)
+    spans[..., 1] = NO_BAR
     for which, window in enumerate(windows):
-        seeing = [(frame, gbuffer) for frame, gbuffer in views if _sees(window, frame) and _resolves(window, frame)]
-        places = np.array([frame.camera.origin for frame, _ in seeing])
-        if len(seeing) < LEAST_FRAMES or np.linalg.norm(places - places[0], axis=1).max() < LEAST_BASELINE:
-            continue
-        pictures = [(frame, np.asarray(frame.image, np.float32).mean(-1), gbuffer) for frame, gbuffer in seeing]
+        seeing = [(frame, gbuffer) for frame, gbuffer in views if shows(window, frame) and _resolves(window, frame)]
+        pictures = [(frame, np.nan_to_num(frame.image.mean(-1), posinf=0.0), gbuffer) for frame, gbuffer in seeing]
         found = [[_edges(window, axis, recess, pictures) for axis in (0, 1)] for recess in RECESSES]
         best = int(np.argmax([sum(float((shares**3).sum()) for shares, _ in edges) for edges in found]))
         for axis, (side, edges) in enumerate(zip((window.right, window.up), found[best], strict=True)):
-            bars = _bars(float(np.linalg.norm(side)), edges)
-            for number, (first, last) in enumerate(bars if len(bars) <= MOST_BARS else []):
+            for number, (first, last) in enumerate(_bars(float(np.linalg.norm(side)), edges)):
                 spans[which, axis, number] = (first + last) / 2, (last - first) / 2
         recesses[which] = RECESSES[best]
-    return Bars(jnp.asarray(spans), jnp.asarray(recesses))
+    most = int((spans[..., 1] != NO_BAR).sum(axis=-1).max(initial=0))
+    return Bars(jnp.asarray(spans[:, :, :most]), jnp.asarray(recesses))
 
 
-def _sees(window: PhotoWindow, frame: Frame) -> bool:
+def shows(window: PhotoWindow, frame: Frame) -> bool:
     """Whether a frame shows some of a window, from the room."""
     camera, k = frame.camera, frame.camera.intrinsics
     if (camera.origin - window.center) @ window.normal <= 0:
         return False
-    across = np.linspace(-1.0, 1.0, 5)[:, None]
-    points = window.center + (across * window.right)[:, None] + across * window.up
-    pixels, depth = camera.project(points)
-    x, y = np.moveaxis(pixels, -1, 0)
-    return bool(((depth > 0.1) & (x >= 0) & (x < k.width) & (y >= 0) & (y < k.height)).any())
+    x, y, z = ((window.corners - camera.origin) @ camera.pose[:3, :3]).T
+    x, y = k.fx * x + k.cx * z, k.fy * y + k.cy * z
+    # Out of view are those of which all corners lie beyond one side of it.
+    return all((side > 0).any() for side in (x, k.width * z - x, y, k.height * z - y))
 
 
 def _resolves(window: PhotoWindow, frame: Frame) -> bool:
@@ -138,6 +132,7 @@ def _edges(
     half = float(np.linalg.norm(along))
     places = _places(half)
     total, count = np.zeros((2, len(places))), np.zeros(len(places))
+    nearest, farthest = (np.full((len(places), 3), sign * np.inf) for sign in (1, -1))
     lines = np.linspace(-0.95, 0.95, EDGE_POINTS)
     points = window.center - recess * window.normal
     points = points + places[:, None, None] * (along / half) + lines[:, None] * across
@@ -149,8 +144,11 @@ def _edges(
         for row, of_points in enumerate((change > EDGE_CONTRAST, change)):
             total[row, 1:-1] += np.where(counts, (of_points * valid).sum(axis=1) / np.maximum(points_seen, 1), 0.0)
         count[1:-1] += counts
+        eye = np.where(counts[:, None], frame.camera.origin, np.nan)
+        nearest[1:-1], farthest[1:-1] = np.fmin(nearest[1:-1], eye), np.fmax(farthest[1:-1], eye)
     # Without the edge of the opening itself: that is sharpest on the plane of the wall.
-    counted = (count >= LEAST_FRAMES) & (np.abs(places) < half - 2 * STEP)
+    counted = (count > 0) & (np.abs(places) < half - 2 * STEP)
+    counted[counted] = np.linalg.norm(farthest[counted] - nearest[counted], axis=1) >= LEAST_BASELINE
     return np.where(counted, total / np.maximum(count, 1), 0.0)
 
 
@@ -174,7 +172,8 @@ def _seen(
     lower = picture[row + 1, column] * (1 - right) + picture[row + 1, column + 1] * right
     hit, seen_depth = np.asarray(gbuffer.hit), np.asarray(gbuffer.depth)
     scale = hit.shape[0] / height
-    pixel = tuple(np.clip(c * scale, 0, n - 1).astype(int) for c, n in zip((v, u), hit.shape, strict=True))
+    shown = (np.where(inside, c, 0.0) * scale for c in (y, x))
+    pixel = tuple(np.clip(c, 0, n - 1).astype(int) for c, n in zip(shown, hit.shape, strict=True))
     away = camera.origin - window.center
     slack = (PANE_SLACK + recess) / max(float(away @ window.normal) / float(np.linalg.norm(away)), LEAST_COSINE)
     free = np.where(hit, seen_depth, np.inf)[pixel] > depth - slack
@@ -186,19 +185,20 @@ def _bars(half: float, edges: Float[np.ndarray, "2 n"]) -> list[tuple[float, flo
     places, (shares, change) = _places(half), edges
     change = np.where(shares > EDGE_SHARE, change, 0.0)
     low, high, width = -half, half, min(WIDEST_FRAME, LARGEST_RIM * half)
-    bars = []
+    inner: list[tuple[float, float]] = []
     if (side := np.where(places < width - half, change, 0.0)).any():
         low = float(places[side.argmax()])
-        bars.append((-half - BEYOND, low - MARGIN))
     if (side := np.where(places > half - width, change, 0.0)).any():
         high = float(places[side.argmax()])
-        bars.append((high + MARGIN, half + BEYOND))
+    if low > -half or high < half:  # a frame is as wide on the side where it is not seen
+        low, high = (low if low > -half else -high), (high if high < half else -low)
+    frame = [(-half - BEYOND, low), (high, half + BEYOND)] if low > -half else []
     inside = np.flatnonzero((change > 0) & (places > low + NARROWEST_BAR) & (places < high - NARROWEST_BAR))
     for run in np.split(inside, np.flatnonzero(np.diff(places[inside]) > WIDEST_BAR) + 1) if len(inside) else []:
         first, last = _outermost(places[run[0] : run[-1] + 1], change[run[0] : run[-1] + 1])
         if NARROWEST_BAR <= last - first <= WIDEST_BAR:
-            bars.append((first + MARGIN, last - MARGIN))
-    return bars
+            inner.append((first, last))
+    return frame + inner if len(frame) + len(inner) <= MOST_BARS else frame
 
 
 def _outermost(places: Float[np.ndarray, "n"], change: Float[np.ndarray, "n"]) -> tuple[float, float]:

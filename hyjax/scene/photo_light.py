@@ -129,14 +129,7 @@ class ScenePhotoLight:
         if shares.any():
             lux = jnp.asarray(setup.reference_lux * shares, jnp.float32)
             kept = jnp.einsum("sc,svc->vc", lux, photo.sources, precision="highest")
-        faces, emitters, share = photo.transport.faces, self.emitters(setup), self.white_share(setup)
-        white = photo.mean / share if share else None
-        return SurfaceLight(photo.illuminance, bounced, faces, emitters, kept, white)
-
-    def white_share(self, setup: LightSetup) -> float:
-        """Share of the bound by a white surface that holds under a set-up, see `SurfaceLight.white`."""
-        kept = self.kept(setup.existing).max(initial=0.0)
-        return max(0.0, 1.0 - float(kept)) if self.estimate.exponent else 0.0
+        return SurfaceLight(photo.illuminance, bounced, photo.transport.faces, self.emitters(setup), kept)
 
     def summary(self, estimate: Estimate) -> str:
         """Line on the sources of the photos, the belief in the estimate, and the remedy where that is wrong."""

@@ -191,7 +191,7 @@ class Arrangement:
             emission = shine(light.emitters, photographed.sources, view.frame)
         photo_light, refined = photographed.photo_light, photographed.refined
         return view, dataclasses.replace(
-            shaded, photo_light=photo_light, refined_photo_light=refined, emission=emission, white=light.white
+            shaded, photo_light=photo_light, refined_photo_light=refined, emission=emission
         )
 
     def shade_samples(

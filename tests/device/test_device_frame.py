@@ -30,6 +30,7 @@ from hyjax.light.kinds import (
     SkyLight,
     SpotLight,
 )
+from hyjax.light.panes import NO_BAR
 from hyjax.light.setup import LightSetup
 from hyjax.light.shading import shade_each
 from hyjax.light.shadow_map import visibilities
@@ -178,6 +179,39 @@ def test_a_lamps_rim_goes_out_with_it(tmp_path: Path, device: Any) -> None:
     rim = (away < 4) & (away >= 3)
     assert np.abs(found - expected)[rim].max() < 0.02
     assert expected[rim].max() < 0.8 * np.asarray(view.frame)[rim].min(), "it is off"
+
+
+@pytest.mark.slow
+def test_bars_of_windows_do_not_shine(scene: Scene, device: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bars of both directions, behind the pane, as JAX leaves them out."""
+    photo_light = scene.photo_light
+    estimate, panes = photo_light._stored
+    count = len(panes["bar_recess"])
+    bars = [[(-0.5, 0.1), (0.3, 0.16)], [(0.2, 0.12), (0.0, NO_BAR)]]
+    barred = panes | {
+        "bar_spans": np.tile(np.array(bars, np.float32), (count, 1, 1, 1)),
+        "bar_recess": np.full(count, 0.15, np.float32),
+    }
+    setup, pictures = scene.lights("two-colors", at_photo_sources=True), {}
+    index = int(np.argmax([_pane_pixels(scene, setup, index) for index in range(4)]))
+    frame = scene.frame(index)
+    for name, own in (("whole", panes | {"bar_spans": barred["bar_spans"][:, :, :0]}), ("barred", barred)):
+        monkeypatch.setitem(photo_light.__dict__, "_stored", (estimate, own))
+        monkeypatch.setattr(photo_light, "_last", None)
+        view, _, relit = reference(scene, setup, index, keep=False)
+        found = renderer_of(scene, setup, device, keep=False).relight(np.asarray(view.display), frame.camera)
+        pictures[name] = np.asarray(relit.image), found
+    changed = np.abs(pictures["barred"][0] - pictures["whole"][0]).max(axis=-1) > 0.05
+    assert 20 < changed.sum() < changed.size / 3
+    for expected, found in pictures.values():
+        assert np.abs(found - expected)[changed].mean() < 0.02
+    assert pictures["barred"][1][changed].mean() > 2 * pictures["whole"][1][changed].mean(), "panes are dark"
+
+
+def _pane_pixels(scene: Scene, setup: LightSetup, index: int) -> float:
+    """Pixels of a frame that belong to panes."""
+    shining = scene.shade(scene.view(index), setup).emission
+    return 0.0 if shining is None else float(shining.weight.sum())
 
 
 def test_half_precision_of_a_frame(scene: Scene, device: Any) -> None:

@@ -11,9 +11,9 @@ from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.light.emission import Emitters, source_pixels
 from hyjax.light.gbuffer import GBuffer
-from hyjax.light.panes import Bars
+from hyjax.light.panes import NO_BAR, Bars
 from hyjax.photo_light.sources import PhotoWindow
-from hyjax.photo_light.window_bars import window_bars
+from hyjax.photo_light.window_bars import shows, window_bars
 
 UP = np.array([0.0, 0.0, 1.0])
 WINDOW = PhotoWindow.facing("window-1", np.array([0.0, 3.0, 1.5]), np.array([0.0, -1.0, 0.0]), UP, 2.0, 1.4)
@@ -107,6 +107,34 @@ def test_pictures_from_one_place_or_from_outside_tell_nothing(eyes: list[tuple[f
     np.testing.assert_array_equal(found.spans, Bars.none(1).spans)
 
 
+def test_pixels_that_are_not_finite_hide_no_bar() -> None:
+    made = views([(0.1, 0.04)])
+    expected = inner_bars(window_bars([WINDOW], made))
+    made[2][0].image[100:140, 120:180] = np.nan
+    np.testing.assert_allclose(inner_bars(window_bars([WINDOW], made)), expected, atol=0.011)
+
+
+@pytest.mark.parametrize(
+    "eye, towards, seen",
+    [
+        ((0.3, 2.8, 1.5), (0.3, 3.0, 1.5), True),  # no corner and no middle is in the picture
+        ((0.0, 0.0, 1.5), (0.0, -1.0, 1.5), False),
+        ((0.0, 0.0, 1.5), (3.0, 0.0, 1.5), False),
+        ((0.0, 6.0, 1.5), (0.0, 3.0, 1.5), False),
+    ],
+)
+def test_a_window_is_seen_from_the_room(
+    eye: tuple[float, float, float], towards: tuple[float, float, float], seen: bool
+) -> None:
+    camera = Camera(LENS, look_at(np.array(eye), np.array(towards), UP))
+    assert shows(WINDOW, Frame("view", np.zeros((*LENS.shape, 3), np.float32), camera, 0.0)) == seen
+
+
+def test_of_too_many_bars_the_frame_is_left() -> None:
+    spans = np.asarray(window_bars([WINDOW], views([(x, 0.025) for x in np.arange(-0.75, 0.76, 0.25)])).spans)[0, 0]
+    assert (spans[:, 1] > 0.1).sum() == 2 and len(spans) == 2
+
+
 def test_a_blind_is_no_bar() -> None:
     slats = [(x, 0.02) for x in np.arange(-0.8, 0.81, 0.08)]
     assert len(inner_bars(window_bars([WINDOW], views(slats)))) == 0
@@ -114,8 +142,7 @@ def test_a_blind_is_no_bar() -> None:
 
 def test_bars_do_not_shine() -> None:
     ((frame, gbuffer),) = views([(0.0, 0.05)], eyes=[(0.0, 0.0, 1.5)])
-    none = Bars.none(1)
-    bars = Bars(none.spans.at[0, 0, 0].set(jnp.array([0.0, 0.05])), none.recess)
+    bars = Bars(jnp.array([[[[0.0, 0.05]], [[0.0, NO_BAR]]]]), jnp.zeros(1))
     pane = np.stack([WINDOW.center, WINDOW.right, WINDOW.up])[None]
     light = np.ones((1, 3)), np.zeros((1, 3)), np.ones(3), np.full((1, 3), 0.6)
     pane, *rest = (jnp.asarray(a, jnp.float32) for a in (pane, np.zeros((0, 4)), *light))

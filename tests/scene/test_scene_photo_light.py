@@ -13,7 +13,6 @@ import trimesh
 from hyjax import AmbientLight, LightSetup, PointLight, Scene
 from hyjax.configuration import Configuration, LightOptions
 from hyjax.data import frames
-from hyjax.data.builtin_room import load_room
 from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.light.photo_light import SurfaceLight
@@ -21,8 +20,7 @@ from hyjax.photo_light.estimate import filled_share
 from hyjax.photo_light.source_arrays import sources_from_arrays, sources_to_arrays
 from hyjax.photo_light.sources import PhotoLamp, PhotoSources, PhotoWindow
 from hyjax.scene import photo_light
-from hyjax.scene.relighter import LitFrame, Relighter, refine, refined_picture
-from hyjax.scene.settings import SceneSettings
+from hyjax.scene.relighter import Relighter
 from hyjax.util.errors import InputError
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -221,41 +219,3 @@ def test_an_estimate_that_fails_is_waited_for_no_longer(tmp_path: Path) -> None:
     assert scene.photo_light.begin() and scene.photo_light.expected() is None
     with pytest.raises(InputError, match="windows"):
         _ = scene.photo_light.estimate
-
-
-@pytest.fixture(scope="module")
-def believed() -> Scene:
-    """A scene whose photo's light is believed."""
-    return Scene.open(
-        SceneSettings(), capture=load_room(n_frames=6, width=96, height=72, quality=0.25, progress=False)
-    )
-
-
-def test_no_surface_is_whiter_than_white(believed: Scene) -> None:
-    relighter = Relighter(believed, "center-point")
-    lit = relighter.lit(0)
-    assert lit.shaded.white is not None
-    free = dataclasses.replace(lit, shaded=dataclasses.replace(lit.shaded, white=None))
-    dark = dataclasses.replace(lit, shaded=dataclasses.replace(lit.shaded, white=jnp.full(3, 0.1)))
-    pictures = [np.asarray(refined_picture(frame, relighter.configuration)) for frame in (free, lit, dark)]
-    assert (pictures[1] <= pictures[0] + 1e-6).all() and (pictures[2] <= pictures[1] + 1e-6).all()
-    # Reflected is a tenth of the light at most, of which the photo shows a multiple.
-    light = pictures[0] / np.asarray(lit.view.frame) * np.asarray(relight_fields(lit))
-    np.testing.assert_allclose(pictures[2], np.minimum(pictures[0], 0.1 * light), rtol=2e-4, atol=1e-6)
-
-
-def relight_fields(lit: LitFrame) -> jax.Array:
-    """Photo's own light at the pixels, refined and sharpened."""
-    return dict(refine(lit, Configuration()))["light edges"][..., -3:]
-
-
-@pytest.mark.parametrize("kept, share", [(0.0, 1.0), (0.25, 0.75), (1.0, 0.0), (2.0, 0.0)])
-def test_what_shines_on_may_be_whiter(kept: float, share: float, believed: Scene) -> None:
-    photo_light = believed.photo_light
-    setup = LightSetup(SETUP.lights, existing={photo_light.estimate.names[0]: (kept, 0.0, 0.0)})
-    assert photo_light.white_share(setup) == pytest.approx(share)
-    white = photo_light.surface_light(setup, None).white
-    if share:
-        np.testing.assert_allclose(white, photo_light.estimate.light.mean / share, rtol=1e-5)
-    else:
-        assert white is None

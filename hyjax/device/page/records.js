@@ -157,7 +157,7 @@ export function emitterVectors(lights, reference, existing, scene) {
  * @param camera { right, down, forward, origin, intrinsics }
  * @param options counts: of lights, panes and lamps; albedo: whether the frame is the mesh's own albedo
  */
-export function frameRecord(camera, { counts, albedo, ambient, reference, mean, whiteShare }) {
+export function frameRecord(camera, { counts, albedo, ambient, reference, mean }) {
   const words = new Float32Array(32);
   words.set(camera.right, 0);
   words.set(camera.down, 4);
@@ -166,6 +166,6 @@ export function frameRecord(camera, { counts, albedo, ambient, reference, mean, 
   words.set(camera.intrinsics, 16);
   new Uint32Array(words.buffer).set([...counts, Number(albedo)], 20);
   words.set([...ambient, 1 / reference], 24);
-  words.set([...mean, whiteShare], 28);
+  words.set(mean, 28);
   return words;
 }

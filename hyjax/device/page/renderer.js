@@ -115,7 +115,6 @@ export class Renderer {
       ambient: ambientFilter(lights, setup.reference_lux),
       reference: setup.reference_lux,
       mean: scene.mean,
-      whiteShare: scene.is_bounded && !this.albedo ? 1 - Math.min(1, Math.max(0, ...Object.values(setup.existing).flat())) : 0,
     }));
     const stages = ["load", "bounces", "photo", "frame"].filter((stage) => this.pending.has(stage));
     const batches = this.pending.has("shadows") ? this.mapBatches() : [];

@@ -38,8 +38,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         }
     }
     let photo_light = completed(interpolated(corners, 1u), weight, totals[1], total_weight).xyz;
-    let whitest = photo * frame.mean.w / frame.mean.xyz; // no surface is whiter than white
-    var relight_filter = shining / max(max(photo_light, vec3<f32>(LEAST_PHOTO_LIGHT)), whitest);
+    var relight_filter = shining / max(photo_light, vec3<f32>(LEAST_PHOTO_LIGHT));
     if (totals[0].w <= 0.0) { relight_filter = frame.ambient.xyz; }
     var result = relight_filter * photo;
     let emission = emission_at(id.xy, photo, surface[pixel].w, shining);

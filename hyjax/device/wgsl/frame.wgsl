@@ -7,5 +7,5 @@ struct Frame {
     intrinsics: vec4<f32>, // fx, fy, cx, cy in pixels
     counts: vec4<u32>,     // lights, panes, lamps, whether the frame is the mesh's own albedo
     ambient: vec4<f32>,    // filter where nothing of the frame is known; 1 / reference illuminance
-    mean: vec4<f32>,       // mean light of the photos, see `PhotoLight.mean`; `white_share`
+    mean: vec4<f32>,       // mean light of the photos, see `PhotoLight.mean`
 }
