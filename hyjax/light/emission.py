@@ -20,6 +20,8 @@ from hyjax.util.geometry import dot
 from hyjax.util.tracing import concrete
 
 PANE_REFLECTANCE, LAMP_REFLECTANCE = 0.04, 0.6
+FRAME_REFLECTANCE = 0.8
+"""Share of light that frames and bars of windows reflect at most: in the photo the sky beside burns them out."""
 PANE_SHARE = 0.4
 """Brightness of the view through a pane over the mean light that it lets in: the horizon is darker than the sky
 above. Chosen on two of the rooms that `experiments.truth` chooses on."""
@@ -69,11 +71,13 @@ class Emission:
         weight: how far a pixel belongs to a source, in [0, 1].
         sent: emitted light, linear.
         reflectance: share of the incident light that it shows, in units of a white surface's picture.
+        frame_light: least light of the photo at pixels of windows' frames and bars, over its mean; 0 elsewhere.
     """
 
     weight: Float[Array, "h w 1"]
     sent: Float[Array, "h w 3"]
     reflectance: Float[Array, "h w 3"]
+    frame_light: Float[Array, "h w 3"]
 
 
 @jax.tree_util.register_dataclass
@@ -85,11 +89,13 @@ class SourcePixels:
         weight: how far a pixel belongs to a source, in [0, 1].
         source: which one, panes first; -1 for none.
         pattern: of its light, relative to its mean.
+        framed: how far a pixel belongs to the frame or the bars of a window.
     """
 
     weight: Float[Array, "h w 1"]
     source: Int[Array, "h w"]
     pattern: Float[Array, "h w 3"]
+    framed: Float[Array, "h w 1"]
 
 
 def radiant_filter(
@@ -183,7 +189,9 @@ def shine(emitters: Emitters, pixels: SourcePixels, frame: Float[Array, "h w 3"]
         # The kept part of the photo holds its reflections, too.
         reflected = share * emitters.mean * jnp.maximum(1.0 - emitters.kept[k], 0.0)
         reflectance = jnp.where(here, reflected, reflectance)
-    return Emission(pixels.weight, sent, reflectance)
+    # White paint at most, lit by the sky beside it. Not where panes shine on: their frames are the photo's, too.
+    framed = pixels.framed * jnp.all(emitters.kept[:count] == 0)
+    return Emission(pixels.weight, sent, reflectance, framed * frame / (FRAME_REFLECTANCE * emitters.mean))
 
 
 @jax.jit
@@ -206,7 +214,9 @@ def source_pixels(
     ray, depth, pixel = pixel_rays(gbuffer, pose, intrinsics)
     weight, pattern = jnp.zeros(depth.shape), jnp.ones((*depth.shape, 3))
     source = jnp.full(depth.shape, -1)
-    shares = list(pane_shares(emitters.panes, emitters.bars, emitters.pane_means, frame, gbuffer, pose, intrinsics))
+    panes = emitters.panes, emitters.bars, emitters.pane_means
+    glass, framed = pane_shares(*panes, frame, gbuffer, pose, intrinsics)
+    shares = list(glass)
     # A lamp's rim is mixed with what lies behind it, and would stay as a bright ring.
     brightness, rim = jnp.min(frame, axis=-1), 2 * -(-frame.shape[1] // RIM_WIDTH) + 1
     for window in ((rim, 1), (1, rim)):
@@ -227,7 +237,7 @@ def source_pixels(
         weight = jnp.maximum(weight, share)
         source = jnp.where(largest, k, source)
         pattern = jnp.where(largest[..., None], shown, pattern)
-    return SourcePixels(weight[..., None], source, pattern)
+    return SourcePixels(weight[..., None], source, pattern, jnp.max(framed, axis=0, initial=0.0)[..., None])
 
 
 def _view_light(light: Float[Array, "n 3"], means: Float[Array, "n 3"]) -> Float[Array, "n 3"]:

@@ -52,13 +52,14 @@ def pane_shares(
     gbuffer: GBuffer,
     pose: Float[Array, "4 4"],
     intrinsics: Float[Array, "3 3"],
-) -> Float[Array, "n h w"]:
-    """Weight of each pane in each pixel, in [0, 1]; 0 on its bars."""
+) -> tuple[Float[Array, "n h w"], Float[Array, "n h w"]]:
+    """Weight of each pane in each pixel, in [0, 1]; and how far the pixel belongs to its frame and bars."""
+    glass, openings = _covers(panes, bars, gbuffer, pose, intrinsics)
     brightness = jnp.min(frame, axis=-1)
     bright = ramp(brightness, PANE_DARK, PANE_BRIGHT)
     dark = jnp.where(gbuffer.hit, 0.0, 1.0 - ramp(brightness, PANE_UNLIT, PANE_LIT))
     lit = lit_degree(means)[:, None, None]
-    return _covers(panes, bars, gbuffer, pose, intrinsics) * (lit * bright + (1.0 - lit) * dark)
+    return glass * (lit * bright + (1.0 - lit) * dark), openings - glass
 
 
 @jax.jit
@@ -75,7 +76,7 @@ def open_shares(
     Args: see `pane_shares`.
     """
     shown = jnp.where(gbuffer.hit, ramp(jnp.min(frame, axis=-1), PANE_DARK, PANE_BRIGHT), 1.0)
-    return _covers(panes, bars, gbuffer, pose, intrinsics) * shown
+    return _covers(panes, bars, gbuffer, pose, intrinsics)[0] * shown
 
 
 def lit_degree(means: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
@@ -89,8 +90,8 @@ def _covers(
     gbuffer: GBuffer,
     pose: Float[Array, "4 4"],
     intrinsics: Float[Array, "3 3"],
-) -> Float[Array, "n h w"]:
-    """Share of each pane in each pixel, with nothing before it."""
+) -> tuple[Float[Array, "n h w"], Float[Array, "n h w"]]:
+    """Share of each pane's glass in each pixel, and of its whole opening, with nothing before it."""
     ray, depth, pixel = pixel_rays(gbuffer, pose, intrinsics)
     shares = []
     for (center, right, up), spans, recess in zip(panes, bars.spans, bars.recess, strict=True):
@@ -101,15 +102,20 @@ def _covers(
         # Metres inside the border, over the width of a pixel there: a border without stairs.
         deeper = recess * jnp.sqrt(dot(normal, normal)) / jnp.where(slope < -1e-9, -slope, jnp.inf)
         behind = place + deeper[..., None] * ray
-        inside = []
-        for axis, across in zip((right, up), spans, strict=True):
-            inside.append(jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))))
-            at = dot(behind, unit(axis))
-            inside += [jnp.abs(at - middle) - half for middle, half in across]
-        width = pixel * jnp.maximum(distance, 1e-3)
-        cover = jnp.clip(functools.reduce(jnp.minimum, inside) / width + 0.5, 0.0, 1.0)
-        shares.append(cover * ((distance > 0) & (slope < 0) & (depth > distance - PANE_SLACK)))
-    return jnp.stack(shares) if shares else jnp.zeros((0, *depth.shape))
+        border = [jnp.sqrt(dot(axis, axis)) - jnp.abs(dot(place, unit(axis))) for axis in (right, up)]
+        beside = [
+            jnp.abs(dot(behind, unit(axis)) - middle) - half
+            for axis, across in zip((right, up), spans, strict=True)
+            for middle, half in across
+        ]
+        width, free = pixel * jnp.maximum(distance, 1e-3), (distance > 0) & (slope < 0)
+        free &= depth > distance - PANE_SLACK
+        opening = jnp.minimum(*border)
+        glass = functools.reduce(jnp.minimum, beside, opening)
+        both = jnp.stack([glass, opening]) / width + 0.5
+        shares.append(jnp.clip(both, 0.0, 1.0) * free)
+    found = jnp.stack(shares, axis=1) if shares else jnp.zeros((2, 0, *depth.shape))
+    return found[0], found[1]
 
 
 def pixel_rays(

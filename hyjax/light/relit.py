@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from hyjax.core.finite import finite_or_zero
 from hyjax.light.color import to_display, to_linear
 from hyjax.light.compositing import composite
+from hyjax.light.emission import Emission
 from hyjax.light.photo_light import LEAST_PHOTO_LIGHT
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
@@ -48,7 +49,7 @@ def relit_picture(
     frame = finite_or_zero(frame)
     direct, fields = _split(illuminance, shaded)
     light = _light(direct * visibility, shaded, fields)
-    relight_filter = _or_ambient(_divide(light, shaded, fields), shaded)
+    relight_filter = _or_ambient(_divide(light, shaded, fields, shaded.emission), shaded)
     return relight_filter, _with_emission(composite(relight_filter, frame), light, shaded)
 
 
@@ -69,7 +70,7 @@ def compared(
     )
     raw, raw_shadowed = (_repeated(sample, shaded.sampling, frame.shape) for sample in samples)
     direct, fields = _split(illuminance, shaded)
-    refined = _or_ambient(_divide(_light(direct, shaded, fields), shaded, fields), shaded)
+    refined = _or_ambient(_divide(_light(direct, shaded, fields), shaded, fields, shaded.emission), shaded)
     visible, unrefined = ratio(relight_filter, refined), composite(raw_shadowed, frame)
     unrefined = _with_emission(unrefined, _light(direct * visibility, shaded, fields), shaded)
     return Relit(raw, refined, visible, relight_filter, unrefined, image)
@@ -115,10 +116,16 @@ def _light(
 
 
 def _divide(
-    light: Float[Array, "h w 3"], shaded: Shaded, fields: Sequence[Float[Array, "h w 3"]]
+    light: Float[Array, "h w 3"],
+    shaded: Shaded,
+    fields: Sequence[Float[Array, "h w 3"]],
+    emission: Emission | None = None,
 ) -> Float[Array, "h w 3"]:
-    """Relight filter: new light over the light of the photo."""
-    return light if shaded.photo_light is None else light / jnp.maximum(fields[-1], LEAST_PHOTO_LIGHT)
+    """Relight filter: new light over the light of the photo, which is more on frames of windows, see `Emission`."""
+    if shaded.photo_light is None:
+        return light
+    old = jnp.maximum(fields[-1], LEAST_PHOTO_LIGHT)
+    return light / (old if emission is None else jnp.maximum(old, emission.frame_light))
 
 
 @jax.jit

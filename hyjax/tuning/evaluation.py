@@ -96,7 +96,8 @@ def padded(lit: LitFrame, most: int) -> LitFrame:
     more, emission = most - shaded.illuminance.shape[-1], shaded.emission
     beside = ((0, 0), (0, 0), (0, more))
     if emission is None and shaded.photo_light is not None:
-        emission = Emission(jnp.zeros((*view.shape[:2], 1)), jnp.zeros_like(view), jnp.zeros_like(view))
+        none = jnp.zeros_like(view)
+        emission = Emission(none[..., :1], none, none, none)
     shaded = dataclasses.replace(
         shaded,
         illuminance=jnp.pad(shaded.illuminance, beside),

@@ -88,7 +88,7 @@ def test_what_shines_is_kept() -> None:
     shape = level_shape((height, width), factor)
     left = jnp.broadcast_to((jnp.arange(shape[1]) < shape[1] // 2)[None, :, None], (*shape, 1)).astype(jnp.float32)
     sent = jnp.broadcast_to(jnp.array([2.0, 1.0, 0.5]), (*shape, 3))
-    emission = Emission(left, sent, jnp.zeros((*shape, 3)))
+    emission = Emission(left, sent, *2 * [jnp.zeros((*shape, 3))])
     display = frame_of(height, width)
     dark, shining = (
         relit(shaded_of(shape), display, factor),
@@ -103,7 +103,7 @@ def test_what_shines_is_kept() -> None:
 
 def test_no_shining_pixel_is_none() -> None:
     shape = (16, 20)
-    none = Emission(jnp.zeros((*shape, 1)), jnp.ones((*shape, 3)), jnp.ones((*shape, 3)))
+    none = Emission(jnp.zeros((*shape, 1)), *2 * [jnp.ones((*shape, 3))], jnp.zeros((*shape, 3)))
     display = frame_of(32, 40)
     one, other = relit(shaded_of(shape, emission=none), display, 2), relit(shaded_of(shape), display, 2)
     np.testing.assert_allclose(one.image, other.image, atol=1e-6)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
-from hyjax.light.emission import Emitters, source_pixels
+from hyjax.light.emission import Emitters, emission, source_pixels
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.panes import NO_BAR, Bars
 from hyjax.photo_light.sources import PhotoWindow
@@ -153,3 +153,17 @@ def test_bars_do_not_shine() -> None:
     assert (weight[157:163] == 0).all()
     assert (weight[100:154] == 1).all()
     assert (weight[166:220] == 1).all()
+
+
+def test_burnt_out_bars_are_white_paint_at_most() -> None:
+    ((frame, gbuffer),) = views([(0.0, 0.05)], eyes=[(0.0, 0.0, 1.5)])
+    bars = Bars(jnp.array([[[[0.0, 0.05]], [[0.0, NO_BAR]]]]), jnp.zeros(1))
+    pane = jnp.asarray(np.stack([WINDOW.center, WINDOW.right, WINDOW.up])[None], jnp.float32)
+    camera = [jnp.asarray(m, jnp.float32) for m in (frame.camera.pose, LENS.matrix)]
+    picture = jnp.asarray(frame.image)
+    for kept, least in ((0.0, 0.95 / (0.8 * 0.5)), (0.3, 0.0)):
+        light = jnp.ones((1, 3)), jnp.full((1, 3), kept), jnp.full(3, 0.5), jnp.full((1, 3), 0.6)
+        found = emission(Emitters(pane, bars, jnp.zeros((0, 4)), *light), picture, gbuffer, *camera)
+        frame_light = np.asarray(found.frame_light)
+        np.testing.assert_allclose(frame_light[120, 158:162], least, rtol=1e-5)
+        assert (frame_light[120, 100:154] == 0).all() and (frame_light[:10] == 0).all()

@@ -13,6 +13,7 @@ $guide_bindings
 const PANE = ${pane}u; // vectors of one
 const PANE_REFLECTANCE = 0.04;
 const LAMP_REFLECTANCE = 0.6;
+const FRAME_REFLECTANCE = 0.8;
 const PANE_SHARE = 0.4;
 const PANE_WHITE = 0.75;
 const PANE_UNLIT = 0.05;
@@ -38,10 +39,11 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         }
     }
     let photo_light = completed(interpolated(corners, 1u), weight, totals[1], total_weight).xyz;
-    var relight_filter = shining / max(photo_light, vec3<f32>(LEAST_PHOTO_LIGHT));
+    let emission = emission_at(id.xy, photo, surface[pixel].w, shining);
+    let frame_light = framed * photo / (FRAME_REFLECTANCE * frame.mean.xyz);
+    var relight_filter = shining / max(max(photo_light, vec3<f32>(LEAST_PHOTO_LIGHT)), frame_light);
     if (totals[0].w <= 0.0) { relight_filter = frame.ambient.xyz; }
     var result = relight_filter * photo;
-    let emission = emission_at(id.xy, photo, surface[pixel].w, shining);
     result += emission.w * (emission.xyz - result);
     image[pixel] = vec4<f32>(result, emission.w);
 }
@@ -68,6 +70,9 @@ fn brightest_near(pixel: vec2<u32>) -> f32 {
     return found;
 }
 
+// How far the pixel belongs to the frame or the bars of a window, after `emission_at`; 0 where any shines on.
+var<private> framed: f32;
+
 // What panes and lamps send from a pixel, and how far it belongs to one: `hyjax.light.emission`. Of each pane there
 // are centre, right, up, sent, kept, mean and bars; of each lamp position with radius, sent and kept.
 fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, own_depth: f32, shining: vec3<f32>) -> vec4<f32> {
@@ -78,6 +83,8 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, own_depth: f32, shining: vec3
     let hole = frame.counts.w == 1u && own_depth <= 0.0; // of the mesh, which has no glass
     var weight = 0.0;
     var sent = vec3<f32>(0.0);
+    var shines_on = false;
+    framed = 0.0;
     for (var k = 0u; k < frame.counts.y; k++) {
         let center = emitters[PANE * k].xyz;
         let right = emitters[PANE * k + 1u].xyz;
@@ -88,7 +95,8 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, own_depth: f32, shining: vec3
         let place = frame.origin.xyz + distance * ray - center;
         let axes = mat2x3<f32>(normalize(right), normalize(up));
         let at_pane = place * axes;
-        var inside = min(length(right) - abs(at_pane.x), length(up) - abs(at_pane.y));
+        let opening = min(length(right) - abs(at_pane.x), length(up) - abs(at_pane.y));
+        var inside = opening;
         let recess = emitters[PANE * k + PANE - 1u].x * length(normal) / select(1e9, -slope, slope < -1e-9);
         let at = (place + recess * ray) * axes;
         for (var bar = 6u; bar < PANE - 1u; bar++) {
@@ -98,18 +106,21 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, own_depth: f32, shining: vec3
         let mean = emitters[PANE * k + 5u].xyz;
         let lit = smoothstep(PANE_UNLIT, PANE_LIT, min(mean.x, min(mean.y, mean.z)));
         let dark = select(1.0 - smoothstep(PANE_UNLIT, PANE_LIT, darkest), 0.0, own_depth > 0.0);
-        var cover = clamp(inside / (width * max(distance, 1e-3)) + 0.5, 0.0, 1.0)
-            * select(mix(dark, smoothstep(0.1, 0.3, darkest), lit), 1.0, hole);
-        if (distance <= 0.0 || slope >= 0.0 || depth <= distance - SLACK) { cover = 0.0; }
+        let kept = emitters[PANE * k + 4u].xyz;
+        shines_on = shines_on || any(kept != vec3<f32>(0.0));
+        let free = distance > 0.0 && slope < 0.0 && depth > distance - SLACK;
+        let shares = select(vec2<f32>(0.0), clamp(vec2<f32>(inside, opening) / (width * max(distance, 1e-3)) + 0.5, vec2<f32>(0.0), vec2<f32>(1.0)), free);
+        framed = max(framed, shares.y - shares.x);
+        let cover = shares.x * select(mix(dark, smoothstep(0.1, 0.3, darkest), lit), 1.0, hole);
         if (cover > 0.0 && cover >= weight) {
             weight = cover;
-            let kept = emitters[PANE * k + 4u].xyz;
             let pane = select(photo, mean, hole);
             let pattern = mix(vec3<f32>(1.0), pane / max(mean, vec3<f32>(1e-3)), lit);
             sent = view_light(emitters[PANE * k + 3u].xyz * frame.mean.xyz, mean) * pattern + kept * pane
                 + PANE_REFLECTANCE * frame.mean.xyz * max(1.0 - kept, vec3<f32>(0.0)) * shining;
         }
     }
+    if (shines_on || frame.counts.w == 1u) { framed = 0.0; }
     for (var k = 0u; k < frame.counts.z; k++) {
         let first = PANE * frame.counts.y + 3u * k;
         let radius = emitters[first].w;
