@@ -80,7 +80,7 @@ def _cascade_known(
     # In single precision at least: a sum over a picture overflows half precision.
     total = jnp.sum((downsample(weighted, factor) * pixels).astype(jnp.promote_types(y.dtype, jnp.float32)), (0, 1))
     mean = (total[:channels] / jnp.maximum(total[channels:], TINY)).astype(y.dtype)
-    diffused = jax.lax.optimization_barrier(cascade(weighted, guide, schedule, sampling=sampling))
+    diffused = cascade(weighted, guide, schedule, sampling=sampling)
     reached = diffused[..., channels:]
     floor = jnp.maximum(HOLE_FLOOR * (1.0 - reached), 0.0)  # nothing where everything is known
     divisor = reached + floor
