@@ -18,7 +18,7 @@ PANE_SLACK = 0.12
 PANE_DARK, PANE_BRIGHT = 0.1, 0.3
 """Linear values of the photo between which a pixel of a pane begins to shine."""
 MOST_BARS = 8
-"""Largest number of bars of a pane in each direction."""
+"""Largest number of bars of a pane in each direction, the two sides of its frame among them."""
 NO_BAR = -1e3
 """Half width that stands for no bar."""
 

@@ -58,14 +58,14 @@ def pane_arrays(windows: Sequence[PhotoWindow], frames: Sequence[Frame], caster:
         `bar_spans` and `bar_recess`, see `Bars`, and `pane_means`, linear.
     """
     seeing = [frame for frame in frames if any(shows(window, frame) for window in windows)]
-    views = [(frame, caster.gbuffer(shrink(frame, SURFACE_WIDTH).camera)) for frame in seeing]
-    bars = window_bars(windows, views)
+    small = [shrink(frame, SURFACE_WIDTH) for frame in seeing]
+    gbuffers = [caster.gbuffer(frame.camera) for frame in small]
+    bars = window_bars(windows, list(zip(seeing, gbuffers, strict=True)))
     panes = np.array([(w.center, w.right, w.up) for w in windows], np.float32).reshape(-1, 3, 3)
     total, weight = np.zeros((len(windows), 3)), np.full(len(windows), 1e-6)
-    for frame, gbuffer in spread(views, MEAN_FRAMES):
-        small = shrink(frame, SURFACE_WIDTH)
-        linear = finite_or_zero(to_linear(jnp.asarray(small.image)))
-        camera = (jnp.asarray(m, jnp.float32) for m in (small.camera.pose, small.camera.intrinsics.matrix))
+    for frame, gbuffer in spread(list(zip(small, gbuffers, strict=True)), MEAN_FRAMES):
+        linear = finite_or_zero(to_linear(jnp.asarray(frame.image)))
+        camera = (jnp.asarray(m, jnp.float32) for m in (frame.camera.pose, frame.camera.intrinsics.matrix))
         for number, share in enumerate(open_shares(jnp.asarray(panes), bars, linear, gbuffer, *camera)):
             total[number] += np.einsum("hw,hwc->c", share, linear)
             weight[number] += float(share.sum())
@@ -83,7 +83,10 @@ def window_bars(windows: Sequence[PhotoWindow], views: Sequence[tuple[Frame, GBu
     spans[..., 1] = NO_BAR
     for which, window in enumerate(windows):
         seeing = [(frame, gbuffer) for frame, gbuffer in views if shows(window, frame) and _resolves(window, frame)]
-        pictures = [(frame, np.nan_to_num(frame.image.mean(-1), posinf=0.0), gbuffer) for frame, gbuffer in seeing]
+        pictures = [
+            (frame, np.nan_to_num(frame.image.mean(-1), posinf=0.0, neginf=0.0), gbuffer)
+            for frame, gbuffer in seeing
+        ]
         found = [[_edges(window, axis, recess, pictures) for axis in (0, 1)] for recess in RECESSES]
         best = int(np.argmax([sum(float((shares**3).sum()) for shares, _ in edges) for edges in found]))
         for axis, (side, edges) in enumerate(zip((window.right, window.up), found[best], strict=True)):
@@ -161,23 +164,21 @@ def _seen(
     gbuffer: GBuffer,
 ) -> tuple[Float[np.ndarray, "n m"], Bool[np.ndarray, "n m"]]:
     """Values of a picture at points of a window's frame, and whether nothing stands before them."""
+    from scipy import ndimage  # SciPy is slow to load
+
     camera, (height, width) = frame.camera, picture.shape
     pixels, depth = camera.project(points)
     x, y = np.moveaxis(pixels, -1, 0)
     inside = (depth > 0.1) & (x >= 0.5) & (x < width - 0.5) & (y >= 0.5) & (y < height - 0.5)
-    u, v = (np.clip(np.where(inside, c, 1.0) - 0.5, 0, n - 1.001) for c, n in ((x, width), (y, height)))
-    column, row = u.astype(int), v.astype(int)
-    right, down = u - column, v - row
-    upper = picture[row, column] * (1 - right) + picture[row, column + 1] * right
-    lower = picture[row + 1, column] * (1 - right) + picture[row + 1, column + 1] * right
+    x, y = (np.where(inside, c, 0.5) for c in (x, y))
+    values = ndimage.map_coordinates(picture, [y - 0.5, x - 0.5], order=1, mode="nearest")
     hit, seen_depth = np.asarray(gbuffer.hit), np.asarray(gbuffer.depth)
     scale = hit.shape[0] / height
-    shown = (np.where(inside, c, 0.0) * scale for c in (y, x))
-    pixel = tuple(np.clip(c, 0, n - 1).astype(int) for c, n in zip(shown, hit.shape, strict=True))
+    pixel = tuple(np.minimum(c * scale, n - 1).astype(int) for c, n in zip((y, x), hit.shape, strict=True))
     away = camera.origin - window.center
     slack = (PANE_SLACK + recess) / max(float(away @ window.normal) / float(np.linalg.norm(away)), LEAST_COSINE)
     free = np.where(hit, seen_depth, np.inf)[pixel] > depth - slack
-    return upper * (1 - down) + lower * down, inside & free
+    return values, inside & free
 
 
 def _bars(half: float, edges: Float[np.ndarray, "2 n"]) -> list[tuple[float, float]]:

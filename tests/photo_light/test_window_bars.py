@@ -28,7 +28,6 @@ def views(
     recess: float = 0.0,
     value: float = 0.95,
     eyes: list[tuple[float, float, float]] = EYES,
-    outside: float = 12.0,
 ) -> list[tuple[Frame, GBuffer]]:
     """Pictures of the window: upright bars (middle, half width) and a frame round it, before a view outside."""
     made = []
@@ -39,7 +38,7 @@ def views(
         def at(depth: float, rays: np.ndarray = rays, camera: Camera = camera) -> Float[np.ndarray, "h w 3"]:
             return camera.origin + (depth - camera.origin[1]) / rays[..., 1:2] * rays
 
-        far, near = at(WINDOW.center[1] + outside), at(WINDOW.center[1] + recess)
+        far, near = at(WINDOW.center[1] + 12.0), at(WINDOW.center[1] + recess)
         x, z = near[..., 0], near[..., 2] - WINDOW.center[2]
         picture = 0.6 + 0.2 * np.sin(1.7 * far[..., 0]) * np.sin(1.1 * far[..., 2])
         picture = np.where((np.abs(x) > 1.0 - FRAME_WIDTH) | (np.abs(z) > 0.7 - FRAME_WIDTH), value, picture)
