@@ -3,13 +3,13 @@
     python -m experiments.tour_visits [--changes 60] [--minutes 5] [--out results/tour_visits]
 
 A tour of the built-in room at 640 x 480 runs in a process of its own, its pictures drawn by the server; a visitor
-without a browser changes something, waits for the picture (`--changes` times for each kind of change), and decodes
-it. *Draft* is the first picture that shows the change, *fine* the last. Then visitors change everything for some
+without a browser changes something and waits for the picture (`--changes` times for each kind of change). *Draft* is
+the first picture that shows the change, *fine* the last. Then visitors change everything for some
 minutes, break off and come back, while the process's memory, files and threads are counted.
 
 Takes five minutes on two cores, and `--minutes` more.
 
-Expect: 50 ms from the brightness of a lamp, or the exposure, to its picture; 100 to the draft of a lamp that moves.
+Expect: 50 ms from any change to its draft on a fast machine, three times as much on a slow one.
 """
 
 import contextlib

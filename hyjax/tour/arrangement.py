@@ -5,6 +5,7 @@ of furniture that moves is cast anew by itself, and its shadow maps join those o
 are linear in each light: those of a white light of strength 1 are kept, and scaled and added live.
 """
 
+import copy
 import dataclasses
 from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
@@ -71,6 +72,7 @@ class Arrangement:
 
     Attributes:
         coarse: whether shadows of a light were coarse.
+        configuration: that it is lit by.
 
     Args:
         caches: shared by the pictures of a tour.
@@ -92,9 +94,15 @@ class Arrangement:
     ) -> None:
         self.parts, self.coarse = scene.apply(plan), False
         self._visible: tuple[Hashable, ...] = ()  # key of the visibility of what was shaded last
-        self._scene, self._caches, self._photo, self._configuration = scene, caches, photo, configuration
+        self._scene, self._caches, self._photo, self.configuration = scene, caches, photo, configuration
         self._draft, self._cancelled, shadows = draft, cancelled, configuration.shadows
         self._sampling, self._map_size = configuration.light.sampling, (shadows.map_scale, shadows.views)
+
+    def smaller(self, factor: int) -> "Arrangement":
+        """The same, lit at a part of the frames' size."""
+        other = copy.copy(self)
+        other.configuration = dataclasses.replace(self.configuration, scale=factor * self.configuration.scale)
+        return other
 
     # ---- a place ----
 
@@ -177,14 +185,14 @@ class Arrangement:
     ) -> tuple[View, Shaded]:
         """Light on a frame; with the first arguments given, a `Shader`."""
         sampling = self._sampling
-        key = frame, sampling
+        key = frame, sampling, self.configuration.scale
         samples = self._caches.frames(
             ("samples", key, self.parts.keys), lambda: run_kept(sample_pixels, view.gbuffer, sampling=sampling)
         )
         shaded = self.shade_samples(samples, setup, light, key)
         if light is None:
             return view, shaded
-        kept = "photographed", key, self._configuration.schedule.to_json()
+        kept = "photographed", key, self.configuration.schedule.to_json()
         photographed = self._caches.frames(kept, lambda: self._photographed(view, camera, light, guide))
         emission = None
         if light.emitters is not None and photographed.sources is not None:
@@ -200,7 +208,7 @@ class Arrangement:
         """Direct and bounced light on surface points."""
         bounces = light is not None and light.bounced is not None
         uniform = [lamp for lamp in setup.lights if lamp.UNIFORM]
-        casting = casters(self, setup.lights, self._configuration.shadows.least_share)
+        casting = casters(self, setup.lights, self.configuration.shadows.least_share)
         direct = direct_channels(setup.lights, bounces)
         lit = [setup.lights[place] for place in direct]
         made = [self._layer(setup.lights[place], samples, key, casting[place]) for place in direct]
@@ -226,6 +234,10 @@ class Arrangement:
             return False
         geometry = geometry_key(light)
         return not all((geometry, key, scale, most_views, False) in self._caches.maps for key in self.parts.keys)
+
+    def any_coarse(self, setup: LightSetup) -> bool:
+        """Whether a draft takes coarse shadow maps of any light."""
+        return any(self.is_coarse(light, *self._map_size) for light in setup.lights)
 
     def _layer(self, light: Light, samples: GBuffer, key: Hashable, casts: bool) -> tuple[Hashable, Layer]:
         """Illuminance of a light of strength 1, and its visibility, with their key.
@@ -299,7 +311,7 @@ class Arrangement:
     ) -> PhotographedFrame:
         """Light of a frame when it was photographed."""
         sampling = self._sampling
-        gbuffer = self.scanned(scaled(camera, self._configuration.scale))  # a relighter with a shader works at that
+        gbuffer = self.scanned(scaled(camera, self.configuration.scale))  # a relighter with a shader works at that
         samples = run_kept(sample_pixels, gbuffer, sampling=sampling)
         hit = samples.hit[..., None]
         photo_light = jnp.where(hit, on_pixels(light.photo_light, light.faces, samples), 1.0)
@@ -307,7 +319,7 @@ class Arrangement:
         fields = Shaded(
             photo_light, jnp.ones_like(photo_light), jnp.eye(3), hit_weight, np.float32(1.0), one, sampling=sampling
         )
-        refined = run_kept(refine_illuminance, fields, guide.features(view.display), self._configuration.schedule)
+        refined = run_kept(refine_illuminance, fields, guide.features(view.display), self.configuration.schedule)
         sources = None
         if light.emitters is not None and view.pose is not None and view.intrinsics is not None:
             matrices = (jnp.asarray(matrix, jnp.float32) for matrix in (view.pose, view.intrinsics))

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from hyjax.data.capture import Frame
 from hyjax.geometry.rasterizer import RasterView
@@ -16,6 +16,7 @@ from hyjax.light.emission import SourcePixels
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import PhotoLight
 from hyjax.light.shaded import Shaded
+from hyjax.light.shading import mix_channels
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.tour.editable_scene import SceneParts
 from hyjax.tour.furniture import Part
@@ -195,3 +196,14 @@ def move_points(light: PhotoLight, parts: SceneParts) -> PhotoLight:
             normal[numbers] = normal[numbers] @ turn.T
     transport = dataclasses.replace(light.transport, position=jnp.asarray(position), normal=jnp.asarray(normal))
     return dataclasses.replace(light, transport=transport)
+
+
+@jax.jit
+def lit_surface(
+    shaded: Shaded, albedo: Float[ArrayLike, "*a"], reference_lux: Float[ArrayLike, ""]
+) -> Float[Array, "h w 3"]:
+    """Linear picture of a surface by its albedo; black where there is none."""
+    lux = mix_channels(shaded.illuminance * shaded.visibility, shaded.colors)
+    if shaded.bounced is not None:
+        lux += shaded.bounced
+    return jnp.where(shaded.confidence > 0, albedo * lux / reference_lux, 0.0)

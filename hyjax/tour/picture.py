@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, UInt8
+from jaxtyping import Array, ArrayLike, Float, Shaped, UInt8
 
 from hyjax.core.diffusion import conductance
 from hyjax.core.schedule import Schedule
@@ -75,10 +75,15 @@ def shown_stage(
         picture = _holes(lit)
     else:
         picture = surface_stage(shown, lit.view.gbuffer)
-    for axis, size in enumerate(frame.image.shape[:2]):  # of a view at a part of the frame's size
-        times = -(-size // picture.shape[axis])
-        picture = jnp.repeat(picture, times, axis=axis)[(slice(None),) * axis + (slice(size),)]
-    return to_bytes(picture)
+    return to_bytes(np.asarray(enlarged(picture, frame.image.shape)))
+
+
+def enlarged(picture: Shaped[ArrayLike, "h w c"], shape: tuple[int, ...]) -> Shaped[Array, "fh fw c"]:
+    """Picture of a view at a part of a frame's size, each pixel repeated to the frame's height and width."""
+    large = jnp.asarray(picture)
+    for axis, size in enumerate(shape[:2]):
+        large = jnp.repeat(large, -(-size // large.shape[axis]), axis=axis)
+    return large[: shape[0], : shape[1]]
 
 
 def surface_stage(shown: Shown, seen: GBuffer) -> Float[Array, "h w 3"]:

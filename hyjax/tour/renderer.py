@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, get_args
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
 from msgspec.structs import replace
 
 from hyjax.configuration import Configuration
@@ -28,14 +27,13 @@ from hyjax.light.photo_light import on_pixels
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
-from hyjax.light.shading import mix_channels
 from hyjax.scene.light_places import LightAnchors, survey_capture, tell_made_up
-from hyjax.scene.relighter import LitFrame, Relighter, configured_light, refine
+from hyjax.scene.relighter import LitFrame, Relighter, configured_light, refine, scaled
 from hyjax.scene.scene import Scene
 from hyjax.tour.arrangement import Arrangement
 from hyjax.tour.editable_scene import EditableScene
 from hyjax.tour.furniture import merge_gbuffers
-from hyjax.tour.layers import Caches, KeptGuide
+from hyjax.tour.layers import Caches, KeptGuide, lit_surface
 from hyjax.tour.lighting import Lighting, flicker, lights_from_outside
 from hyjax.tour.picture import (
     COMPARED_STAGES,
@@ -47,16 +45,7 @@ from hyjax.tour.picture import (
 )
 from hyjax.tour.placement import place_lamp, sunny_plan
 from hyjax.tour.plan import LampKind, TourPlan
-from hyjax.tour.uncovered import (
-    GREY,
-    ROW,
-    Source,
-    extend_planes,
-    rows_of_pixels,
-    scanned_points,
-    seen_elsewhere,
-    uncovered_pixels,
-)
+from hyjax.tour.uncovered import Source, with_uncovered
 from hyjax.tour.viewpoint import Viewpoint
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
@@ -67,12 +56,12 @@ if TYPE_CHECKING:
 
 ALBEDO = 0.6
 """Of a mesh whose true colours are unknown."""
-LEAST_UNSEEN = 0.02
-"""Share of what furniture uncovers, that no photo shows, from which it is said."""
 LOOKED_AT = 24
 """Frames that are looked at for what furniture uncovers."""
 EXPOSED_FRAMES = 8
 """Frames that see the surface for which plans are exposed."""
+DRAFT_FACTOR = 2
+"""Factor by which a frame is smaller when its draft is relit."""
 
 
 class Renderer:
@@ -133,7 +122,7 @@ class Renderer:
 
     def forget_frames(self) -> None:
         """Forget all that is known of frames by their numbers, which are other ones now."""
-        self._caches, self._cameras = Caches(), dict[int, Camera]()
+        self._caches, self._cameras, self._compiled = Caches(), dict[int, Camera](), False
         self.numbering += 1
 
     def _editable(self) -> EditableScene:
@@ -193,7 +182,7 @@ class Renderer:
         """Render a plan from a viewpoint.
 
         Args:
-            draft: whether coarse shadow maps will do for lights that have just moved.
+            draft: whether half the frame's size, and coarse shadow maps, will do where something has just moved.
             cancelled: asked before each view of a shadow map that must be cast; true ends the rendering.
 
         Raises:
@@ -204,17 +193,22 @@ class Renderer:
         if viewpoint.camera is not None:
             return self._free(plan, setup, viewpoint, draft, cancelled)
         clock, index, keep = StageClock(), viewpoint.frame, self._caches.frames
-        frame, guide = self.frame(index), KeptGuide(self.guide, functools.partial(keep, ("guide", index)))
+        frame = self.frame(index)
         configuration = self._configured(viewpoint.schedule, fully=viewpoint.shown == "raw filter")
         own = Arrangement(
             self.scene, plan, self._caches, self.photo_light, configuration, draft=draft, cancelled=cancelled
         )
+        small = draft and viewpoint.shown == "relit" and self._compiled and configuration.mode != "paper"
+        if small := small and (("view", index, configuration.scale) not in keep or own.any_coarse(setup)):
+            own = own.smaller(DRAFT_FACTOR)
+            configuration = own.configuration
+        guide = KeptGuide(self.guide, functools.partial(keep, ("guide", index, configuration.scale)))
         shader = functools.partial(own.shade, index, guide, setup)
         relighter = Relighter(own, setup, configuration, guide=guide, shader=shader, clock=clock)
         with clock("g-buffer"):
             nothing: Any = None  # the surface may be another each time
             pixels = keep(
-                ("view", index),
+                ("view", index, configuration.scale),
                 lambda: jax.block_until_ready(dataclasses.replace(relighter.view(frame), gbuffer=nothing)),
             )
             view = dataclasses.replace(pixels, gbuffer=relighter.gbuffer(frame.camera))
@@ -224,7 +218,9 @@ class Renderer:
         unseen = False
         if plan.pieces and not isinstance(result, Relit):
             with clock("uncovered"):
-                result, unseen = self._uncover(result, own, setup, configuration, frame, index)
+                camera = scaled(frame.camera, DRAFT_FACTOR) if small else frame.camera
+                frames = {k: self.view_camera(k) for k in self._cameras_of(LOOKED_AT, index)}
+                result, unseen = with_uncovered(result, own, setup, camera, self.scene.planes, frames, self._source)
         with clock("show"):
             linear = np.asarray(result.image if isinstance(result, Relit) else result)
             if viewpoint.shown == "photo":
@@ -232,7 +228,14 @@ class Renderer:
             else:
                 picture = shown_stage(viewpoint.shown, frame, lit, result, viewpoint.schedule)
         times = {stage: 1e3 * values[-1] for stage, values in clock.seconds.items()}
-        return RenderedFrame(picture, linear, frame, times, own.coarse, unseen, self._reach(plan, lit.shaded))
+        self._compiled |= not small
+        reach = self._reach(plan, lit.shaded)
+        return RenderedFrame(picture, linear, frame, times, small or own.coarse, unseen, reach)
+
+    def _source(self, index: int) -> Source | None:
+        """Frame as pixels are taken of it."""
+        read = functools.partial(self.frame, index)
+        return self._caches.frames(("source", index), lambda: Source.of(read, self.scene.caster))
 
     def _reach(self, plan: TourPlan, shaded: Shaded) -> tuple[Reach | None, ...]:
         """Reach of each lamp."""
@@ -241,45 +244,6 @@ class Renderer:
         outside = len(self.lighting.outside(plan).lights)
         found = iter(np.asarray(reach_of(shaded)).T[outside:].tolist())  # those that are on follow in their order
         return tuple(Reach(*next(found)) if lamp.on and lamp.lumen > 0 else None for lamp in plan.lamps)
-
-    def _uncover(
-        self,
-        relit: Float[Array, "h w 3"],
-        own: Arrangement,
-        setup: LightSetup,
-        configuration: Configuration,
-        frame: Frame,
-        index: int,
-    ) -> tuple[Float[Array, "h w 3"], bool]:
-        """Relit picture where what the photo does not show is drawn, and whether some of that was never seen."""
-        camera, caster = frame.camera, self.scene.caster
-        now = own.gbuffer(camera)
-        chosen = uncovered_pixels(now, own.scanned(camera), caster)
-        brought = np.asarray(now.hit) & (np.asarray(now.face) < 0)
-        now = extend_planes(now, chosen, camera, self.scene.planes)
-        chosen &= np.asarray(now.hit)
-        scanned = ~brought[chosen]
-        if not chosen.any():
-            return relit, False
-        light = configured_light(own.surface_light(setup), configuration) if self.photo_light is not None else None
-        color, seen = seen_elsewhere(
-            *scanned_points(now, chosen, caster),
-            {k: fit_camera(seen, self.place.size) for k, seen in self._cameras_of(LOOKED_AT, index).items()},
-            lambda number: self._caches.frames(
-                ("source", number), lambda: Source.of(functools.partial(self.frame, number), caster)
-            ),
-        )
-        rows = rows_of_pixels(now, chosen)
-        shown = np.zeros((len(rows) * ROW, 3), np.float32)
-        shown[: len(color)] = np.where((seen & scanned)[:, None], color, np.nan)
-        lit = []
-        for row, colors in zip(rows, shown.reshape(-1, 1, ROW, 3), strict=True):
-            divisor = 1.0 if light is None else on_pixels(light.photo_light, light.faces, row)
-            reflectance = np.where(np.isnan(colors), np.float32(GREY), colors / divisor)
-            lit.append(np.asarray(_lit(own.shade_samples(row, setup, light), reflectance, setup.reference_lux))[0])
-        picture = np.array(relit)
-        picture[chosen] = np.concatenate(lit)[: len(color)]
-        return jnp.asarray(picture), bool((~seen & scanned).mean() > LEAST_UNSEEN)
 
     def _free(
         self, plan: TourPlan, setup: LightSetup, viewpoint: Viewpoint, draft: bool, cancelled: Callable[[], bool]
@@ -301,7 +265,7 @@ class Renderer:
                 albedo = photo.mean * on_pixels(photo.albedo[: photo.transport.vertices], light.faces, seen)
         with clock("shaded"):
             shaded = own.shade_samples(seen, setup, light)
-            linear = np.asarray(_lit(shaded, albedo, setup.reference_lux))
+            linear = np.asarray(lit_surface(shaded, albedo, setup.reference_lux))
         with clock("show"):
             image = np.asarray(to_display(linear))
             picture = to_bytes(np.asarray(surface_stage(shown, seen)) if shown in ("normals", "depth") else image)
@@ -331,14 +295,3 @@ class Renderer:
         return dataclasses.replace(
             self.configuration, schedule=schedule, light=light.replace(sampling=1) if fully else light
         )
-
-
-@jax.jit
-def _lit(
-    shaded: Shaded, albedo: Float[ArrayLike, "*a"], reference_lux: Float[ArrayLike, ""]
-) -> Float[Array, "h w 3"]:
-    """Linear picture of a surface by its albedo; black where there is none."""
-    lux = mix_channels(shaded.illuminance * shaded.visibility, shaded.colors)
-    if shaded.bounced is not None:
-        lux += shaded.bounced
-    return jnp.where(shaded.confidence > 0, albedo * lux / reference_lux, 0.0)

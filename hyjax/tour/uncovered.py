@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from scipy import ndimage
 
 from hyjax.data.capture import Frame
@@ -20,9 +20,17 @@ from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_linear
 from hyjax.light.gbuffer import GBuffer
+from hyjax.light.photo_light import on_pixels
+from hyjax.light.setup import LightSetup
+from hyjax.scene.relighter import configured_light
+from hyjax.tour.arrangement import Arrangement
 from hyjax.tour.furniture import Plane
+from hyjax.tour.layers import lit_surface
+from hyjax.tour.picture import enlarged
 from hyjax.util.errors import InputError
 
+LEAST_UNSEEN = 0.02
+"""Share of what furniture uncovers, that no photo shows, from which it is said."""
 GREY = 0.18
 """Linear value, under the light of the photo, of what no frame saw."""
 LEAST_STEP = 0.02
@@ -33,14 +41,82 @@ MARGIN = 1 / 200
 """Width, over that of the picture, of the rim that is drawn anew, too: edges of photo and scan differ."""
 MOST_FRAMES = 6
 """Most frames that pixels are taken of."""
-RANKED_POINTS = 2000
-"""Number of points, spread over all, by which frames are ranked; there may be up to twice as many."""
+RANKED_POINTS = 1000
+"""Most points, spread over all, by which frames are ranked."""
 ROW = 4096
 """Pixels of a row that is lit at once."""
 SLACK, OFFSET = 1.03, 0.03
 """Factor on the depth of a pixel, and metres, within which it shows a point."""
 STEP = 0.1
 """Share of its depth by which a neighbour of a pixel is nearer from which it may show that, too."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Source:
+    """A frame as pixels are taken of it: linear colours, and the depth up to which a pixel shows what is there."""
+
+    picture: Float[np.ndarray, "h w 3"]
+    depth: Float[np.ndarray, "h w"]
+
+    @classmethod
+    def of(cls, read: Callable[[], Frame], caster: RayCaster) -> "Source | None":
+        """Source of a frame that shows a scan; None if it cannot be read.
+
+        Where the scan has a step, the nearer side takes a rim.
+        """
+        try:
+            frame = read()
+        except InputError:  # told when the frame is shown
+            return None
+        seen = caster.gbuffer(frame.camera)
+        depth = np.where(np.asarray(seen.hit), np.asarray(seen.depth), np.inf)
+        nearest = ndimage.minimum_filter(depth, 1 + 2 * max(1, round(MARGIN * depth.shape[1])))
+        own = np.where(nearest < (1.0 - STEP) * depth, nearest, depth)
+        return cls(np.asarray(to_linear(jnp.asarray(frame.image))), SLACK * own + OFFSET)
+
+
+def with_uncovered(
+    relit: Float[Array, "h w 3"],
+    place: Arrangement,
+    setup: LightSetup,
+    camera: Camera,
+    planes: Sequence[Plane],
+    cameras: Mapping[int, Camera],
+    source: Callable[[int], Source | None],
+) -> tuple[Float[Array, "h w 3"], bool]:
+    """Relit picture where what the photo does not show is drawn, and whether some of that was never seen.
+
+    Args:
+        camera: of the frame, at the size that it is drawn at, the picture's or a part of it.
+        planes: on which the surface goes on.
+        cameras: of the frames that pixels may be taken of, by number.
+        source: see `seen_elsewhere`.
+    """
+    now = place.gbuffer(camera)
+    chosen = uncovered_pixels(now, place.scanned(camera), place.caster)
+    brought = np.asarray(now.hit) & (np.asarray(now.face) < 0)
+    now = extend_planes(now, chosen, camera, planes)
+    chosen &= np.asarray(now.hit)
+    scanned = ~brought[chosen]
+    if not chosen.any():
+        return relit, False
+    light = None
+    if place.knows_photo_light:
+        light = configured_light(place.surface_light(setup), place.configuration)
+    color, seen = seen_elsewhere(*scanned_points(now, chosen, place.caster), cameras, source)
+    rows = rows_of_pixels(now, chosen)
+    shown = np.zeros((len(rows) * ROW, 3), np.float32)
+    shown[: len(color)] = np.where((seen & scanned)[:, None], color, np.nan)
+    lit = []
+    for row, colors in zip(rows, shown.reshape(-1, 1, ROW, 3), strict=True):
+        divisor = 1.0 if light is None else on_pixels(light.photo_light, light.faces, row)
+        reflectance = np.where(np.isnan(colors), np.float32(GREY), colors / divisor)
+        shaded = place.shade_samples(row, setup, light)
+        lit.append(np.asarray(lit_surface(shaded, reflectance, setup.reference_lux))[0])
+    drawn = np.zeros((*chosen.shape, 3), np.float32)
+    drawn[chosen] = np.concatenate(lit)[: len(color)]
+    picture = jnp.where(enlarged(chosen[..., None], relit.shape), enlarged(drawn, relit.shape), relit)
+    return picture, bool((~seen & scanned).mean() > LEAST_UNSEEN)
 
 
 def uncovered_pixels(now: GBuffer, scanned: GBuffer, caster: RayCaster) -> Bool[np.ndarray, "h w"]:
@@ -114,30 +190,6 @@ def scanned_points(
     return points, normals
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Source:
-    """A frame as pixels are taken of it: linear colours, and the depth up to which a pixel shows what is there."""
-
-    picture: Float[np.ndarray, "h w 3"]
-    depth: Float[np.ndarray, "h w"]
-
-    @classmethod
-    def of(cls, read: Callable[[], Frame], caster: RayCaster) -> "Source | None":
-        """Source of a frame that shows a scan; None if it cannot be read.
-
-        Where the scan has a step, the nearer side takes a rim.
-        """
-        try:
-            frame = read()
-        except InputError:  # told when the frame is shown
-            return None
-        seen = caster.gbuffer(frame.camera)
-        depth = np.where(np.asarray(seen.hit), np.asarray(seen.depth), np.inf)
-        nearest = ndimage.minimum_filter(depth, 1 + 2 * max(1, round(MARGIN * depth.shape[1])))
-        own = np.where(nearest < (1.0 - STEP) * depth, nearest, depth)
-        return cls(np.asarray(to_linear(jnp.asarray(frame.image))), SLACK * own + OFFSET)
-
-
 def seen_elsewhere(
     points: Float[np.ndarray, "n 3"],
     normals: Float[np.ndarray, "n 3"],
@@ -150,7 +202,7 @@ def seen_elsewhere(
         source: a frame by its number; None if it cannot be read, and the next is taken.
     """
     total, weight, left = np.zeros((len(points), 3)), np.zeros(len(points)), MOST_FRAMES
-    few = slice(None, None, max(1, len(points) // RANKED_POINTS))
+    few = slice(None, None, max(1, -(-len(points) // RANKED_POINTS)))
 
     def worth_of(number: int) -> float:
         return float(np.sqrt(_views(points[few], normals[few], cameras[number])[-1]).sum())

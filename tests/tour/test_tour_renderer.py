@@ -25,6 +25,7 @@ from hyjax.export.page_sun import sun_table
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.light.color import to_display
+from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import DirectionalLight, PointLight, SkyLight
 from hyjax.metrics.psnr import psnr
 from hyjax.pipeline import refine_visibility
@@ -244,14 +245,38 @@ def test_after_the_warm_up_nothing_is_compiled(plan: TourPlan) -> None:
         jax.monitoring.unregister_event_duration_listener(heard)
 
 
-def test_a_draft_is_coarse_where_something_moved_and_says_so(renderer: Renderer, plan: TourPlan) -> None:
+def test_a_draft_is_coarse_where_something_moved_and_says_so(
+    renderer: Renderer, plan: TourPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fine = renderer.render(plan, VIEW)
     assert not renderer.render(plan, VIEW, draft=True).draft, "what is there already is taken"
     lamp = replace(plan.lamps[0], position=(0.3, 0.3, 1.4))
+    sizes, sample = [], arrangement_module.sample_pixels
+
+    def counted(seen: GBuffer, *, sampling: int) -> GBuffer:
+        sizes.append(seen.hit.shape)
+        return sample(seen, sampling=sampling)
+
+    monkeypatch.setattr(arrangement_module, "sample_pixels", counted)
     draft = renderer.render(replace(plan, lamps=(lamp,)), VIEW, draft=True)
     fine = renderer.render(replace(plan, lamps=(lamp,)), VIEW)
     assert draft.draft and not fine.draft
+    assert draft.picture.shape == fine.picture.shape
     assert np.abs(draft.linear - fine.linear).mean() < 0.02
+    height, width = fine.frame.image.shape[:2]
+    assert set(sizes) == {(height // 2, width // 2)}, "at half the size; the full one was there"
+
+
+def test_a_draft_of_another_frame_is_small_and_one_of_another_brightness_is_not(
+    renderer: Renderer, plan: TourPlan
+) -> None:
+    renderer.render(plan, VIEW)
+    brighter = replace(plan, lamps=(replace(plan.lamps[0], lumen=2.0 * plan.lamps[0].lumen),))
+    assert not renderer.render(brighter, VIEW, draft=True).draft
+    other = dataclasses.replace(VIEW, frame=1)
+    assert renderer.render(plan, other, draft=True).draft
+    assert not renderer.render(plan, other).draft
+    assert not renderer.render(plan, other, draft=True).draft, "it is there at full size now"
 
 
 def test_while_something_is_dragged_fine_detail_throws_no_shadows(plan: TourPlan, cast: list[Any]) -> None:
