@@ -286,8 +286,10 @@ def run_export(settings: ExportSettings) -> None:
         from hyjax.export.web import export_web
 
         export_web(settings)
-        size = sum(file.stat().st_size for file in settings.out.rglob("*") if file.is_file()) / 1e6
-        print(f"{settings.out} is a page of {size:.0f} MB; look at it with: hyjax serve {settings.out}")
+        files = [settings.out] if settings.out.is_file() else settings.out.rglob("*")
+        size = sum(file.stat().st_size for file in files if file.is_file()) / 1e6
+        look = "open it in a browser" if settings.out.is_file() else f"look at it with: hyjax serve {settings.out}"
+        print(f"{settings.out} is a page of {size:.0f} MB; {look}")
     elif settings.to == "bench":
         from hyjax.export.bench import export_bench
 

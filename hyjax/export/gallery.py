@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hyjax.export.settings import ExportSettings
+from hyjax.export.single_page import is_single
 from hyjax.export.web import THUMBNAIL, check_page_folder, export_web
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
@@ -56,8 +57,8 @@ def folder_names(captures: Sequence[Path]) -> list[str]:
 
 def check_gallery_folder(out: Path, folders: Sequence[str]) -> None:
     """Raise `InputError` unless a gallery can be written there."""
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: is a file; choose another --out")
+    if is_single(out) or (out.exists() and not out.is_dir()):
+        raise InputError(f"{out}: is a file; several pages need a folder; choose another --out")
     index = out / INDEX
     if index.exists() and _MARK not in index.read_text(encoding="utf-8", errors="replace"):
         raise InputError(f"{index}: is no index of a gallery; choose another --out")

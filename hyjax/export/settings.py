@@ -60,7 +60,8 @@ class ExportSettings(Settings):
     """Of IREE: the machine to compile for, such as aarch64-linux-android31 or arm64-apple-ios17.0. Default: the one
     that this runs on, the only one that is checked."""
     out: Path = Path("exported")
-    """Folder for the results; a file for a runtime gets a folder in it, such as cascade-onnx."""
+    """Folder for the results; a file for a runtime gets a folder in it, such as cascade-onnx. A page: also a single
+    file that opens by itself, such as room.html."""
     quiet: bool = False
     """No progress on the terminal."""
 

@@ -20,6 +20,7 @@ from hyjax.device.page_content import PAGE_FORMAT, frame_entry, frame_picture, p
 from hyjax.device.page_scene import describe_scene, light_keys, pack_scene, setup_content
 from hyjax.device.scene_arrays import scene_arrays
 from hyjax.export.page_sun import sun_table
+from hyjax.export.single_page import check_single_file, is_single, new_single_page
 from hyjax.geometry.shadow_caster import RESOLUTION, VIEW_RESOLUTION
 from hyjax.light.setup import REFERENCE_LUX, LightSetup
 from hyjax.relighting.pictures import HEADINGS, sheet_row
@@ -77,9 +78,10 @@ def write_page(
 ) -> dict[str, Any]:
     """Write a page.
 
-    The folder appears whole or not at all; an earlier page in its place is replaced.
+    It appears whole or not at all; an earlier page in its place is replaced.
 
     Args:
+        out: folder; or a single file, which ends in .html.
         configuration: how frames are relit, as far as pages follow it, or a schedule for the default one.
         presets: configurations that may be chosen on the page in the place of its own.
         resolutions: texels a side of shadow maps with one view, and of each of several, at a scale of 1.
@@ -94,7 +96,7 @@ def write_page(
     configuration = Configuration.of(configuration).followed_by("page", say=False)
     steps = tqdm(total=len(frames) + 4, desc="page", unit="step", disable=not progress)
     check_page_folder(out)
-    with new_folder(out, replace=True) as folder, steps:
+    with new_single_page(out) if is_single(out) else new_folder(out, replace=True) as folder, steps:
         arrays = scene_arrays(scene, rays=rays)
         packed = pack_scene(arrays)
         (folder / _SCENE_FILE).write_bytes(packed.content)
@@ -151,9 +153,11 @@ def _programs(
 
 def check_page_folder(out: Path) -> None:
     """Raise `InputError` unless a page can be written there: nothing is, or an earlier page."""
-    if out.exists() and not out.is_dir():
+    if is_single(out):
+        check_single_file(out)
+    elif out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; choose another --out")
-    if out.is_dir() and any(out.iterdir()) and not _is_page(out):
+    elif out.is_dir() and any(out.iterdir()) and not _is_page(out):
         raise InputError(f"{out}: is not empty and holds no page of hyjax; choose another --out")
 
 
@@ -217,7 +221,7 @@ Any web server shows this folder; on this machine for instance
     python -m http.server --bind 127.0.0.1 8000
 
 and then http://localhost:8000. Elsewhere it must be https: browsers have WebGPU on secure pages only. Opened as a
-file it shows `contact_sheet.png` alone.
+file it shows `contact_sheet.png` alone; `hyjax export --to web --out room.html` makes a page that opens as one.
 
 {by_hour}
 

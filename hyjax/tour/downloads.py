@@ -1,8 +1,9 @@
-"""Downloads of a tour: picture, lights, mesh and video, written to its folder and sent to the page that asks.
+"""Downloads of a tour: picture, lights, mesh, page and video, written to its folder and sent to the page that asks.
 
 Files appear whole or not at all.
 """
 
+import dataclasses
 import threading
 from collections.abc import Callable, Generator
 from pathlib import Path
@@ -10,9 +11,12 @@ from pathlib import Path
 import av
 import numpy as np
 
+from hyjax.data.frames import spread
 from hyjax.data.light_file import write_lights
 from hyjax.data.video_frames import new_video
+from hyjax.export.web import FRAMES, write_page
 from hyjax.geometry.mesh import save_mesh
+from hyjax.scene.scene import Scene
 from hyjax.tour.messages import Message, packed
 from hyjax.tour.plan import TourPlan
 from hyjax.tour.render_queue import RenderQueue
@@ -24,7 +28,7 @@ from hyjax.util.files import atomic_write
 from hyjax.util.images import write_exr, write_png
 
 FRAME_RATE = 12
-DOWNLOADS = ("png", "exr", "lights", "mesh", "video")
+DOWNLOADS = ("png", "exr", "lights", "mesh", "page", "video")
 """Tasks whose answer is a file."""
 
 
@@ -56,8 +60,19 @@ class Downloads:
         if message.task == "lights":
             setup = renderer.lighting.setup(plan)
             return self._written(message, "lights.json", lambda file: write_lights(file, setup))
+        if message.task == "page":
+            return self._written(message, "room.html", lambda file: self._write_page(plan, viewpoint, file))
         mesh = renderer.scene.apply_to_mesh(plan)
         return self._written(message, "mesh.ply", lambda file: save_mesh(file, mesh))
+
+    def _write_page(self, plan: TourPlan, viewpoint: Viewpoint, file: Path) -> None:
+        """A page of the room and these lights, that needs no server; furniture is where it was scanned."""
+        renderer = self._renderer
+        if not isinstance(renderer.place, Scene):
+            raise InputError("page: frames are still arriving; a page is made of a capture that is whole")
+        setup, frames = renderer.lighting.setup(plan), spread(range(len(renderer.place)), FRAMES)
+        configuration = dataclasses.replace(renderer.configuration, schedule=viewpoint.schedule)
+        write_page(renderer.place, setup, configuration, frames, file)
 
     def _written(self, message: Message, name: str, write: Callable[[Path], object]) -> bytes:
         """Write a file and read it back before another visitor's takes its place."""

@@ -25,6 +25,7 @@ Task = Literal[
     "exr",
     "lights",
     "mesh",
+    "page",
     "video",
 ]
 Number = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]

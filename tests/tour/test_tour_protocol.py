@@ -1,7 +1,9 @@
 """The tour's server, visited without a browser: pictures, what pages ask for, downloads, the set-up kept."""
 
+import base64
 import io
 import json
+import re
 import time
 import urllib.error
 import urllib.request
@@ -29,7 +31,7 @@ from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import Piece, TourPlan, Window
 from hyjax.tour.tour import Tour
 from hyjax.tour.viewpoint import Viewpoint
-from hyjax.tour.wire import check_port
+from hyjax.tour.wire import listen
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_image
 
@@ -220,7 +222,7 @@ def test_a_mesh_is_brought_in_parts(tour: Tour) -> None:
 def test_downloads(tour: Tour, tmp_path: Path) -> None:
     out = tour.kept._file.parent
     with visiting(tour) as visit:
-        files = {task: visit.ask(task, AWAY) for task in ("png", "exr", "lights", "mesh", "video")}
+        files = {task: visit.ask(task, AWAY) for task in ("png", "exr", "lights", "mesh", "page", "video")}
     for task, answer in files.items():
         assert (out / answer["file"]).read_bytes() == answer["content"], task
         (tmp_path / answer["file"]).write_bytes(answer["content"])
@@ -232,6 +234,11 @@ def test_downloads(tour: Tour, tmp_path: Path) -> None:
         pytest.approx(LAMP.position)
     ]
     assert len(trimesh.load(tmp_path / "mesh.ply").faces) < len(tour.renderer.scene.mesh.faces)
+    (held,) = re.findall(r'id="files">(.*?)</script>', (tmp_path / "room.html").read_text())
+    page = json.loads(base64.b64decode(json.loads(held)["page.json"].partition(",")[2]))
+    assert [light["position"] for light in page["setup"]["lights"] if "position" in light] == [
+        pytest.approx(LAMP.position)
+    ]
     with av.open(str(tmp_path / "relit.mp4")) as video:
         assert sum(1 for _ in video.decode(video=0)) == 2
 
@@ -247,7 +254,7 @@ def test_what_was_set_up_last_is_what_the_next_visitor_begins_with(tmp_path: Pat
             visit.ask("daylight", DIM)
             assert json.loads(got(f"{tour.url}/page.json"))["server"]["plan"]["lamps"][0]["lumen"] == 100
             with pytest.raises(InputError, match="already in use"):
-                check_port("127.0.0.1", int(tour.url.rpartition(":")[2]))
+                listen("127.0.0.1", int(tour.url.rpartition(":")[2]))
             end = time.monotonic() + 20
             while not (tmp_path / "tour.json").is_file() and time.monotonic() < end:
                 time.sleep(0.05)
