@@ -3,9 +3,9 @@
     python -m experiments.tour_visits [--changes 60] [--minutes 5] [--out results/tour_visits]
 
 A tour of the built-in room at 640 x 480 runs in a process of its own, its pictures drawn by the server; a visitor
-without a browser changes something and waits for the picture (`--changes` times for each kind of change). *Draft* is
-the first picture that shows the change, *fine* the last. Then visitors change everything for some
-minutes, break off and come back, while the process's memory, files and threads are counted.
+without a browser changes something and waits for the picture (`--changes` times for each kind of change). *Draft*
+is the first picture that shows the change, *fine* the last. Then visitors change everything for some minutes, break
+off and come back, while the process's memory, files and threads are counted.
 
 Takes five minutes on two cores, and `--minutes` more.
 

@@ -252,10 +252,11 @@ def run_tour(settings: TourSettings) -> None:
 
     for module in ("astral", "av", "websockets"):
         optional_module(module, "tour", "tour")
+    from hyjax.export.web import write_page
     from hyjax.tour.tour import Tour
 
     _keep_for_later()
-    tour = Tour.open(settings)
+    tour = Tour.open(settings, write_page)
     alone = contextlib.ExitStack()  # until the process ends
     alone.enter_context(claimed(settings.out))
     if not settings.is_local:

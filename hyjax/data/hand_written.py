@@ -8,6 +8,9 @@ import msgspec
 
 from hyjax.util.errors import InputError, did_you_mean, shown
 
+WORDS = {"`float`": "a number", "`int`": "a whole number", "`array`": "a list", "`bool`": "true or false"}
+"""Words of msgspec, and plain ones."""
+
 
 def check_keys(where: str, content: Any, known: Collection[str], required: Collection[str]) -> None:
     """Check that an entry is a mapping with these keys.
@@ -28,7 +31,7 @@ def check_keys(where: str, content: Any, known: Collection[str], required: Colle
 
 
 def converted(where: str, content: Any, kind: type[Any], forms: Mapping[str, str]) -> Any:
-    """An entry as a struct of msgspec; `forms` say what each of its keys must be."""
+    """An entry as a struct of msgspec; `forms` say what keys must be, msgspec those that are left out."""
     fields = msgspec.structs.fields(kind)
     check_keys(where, content, [f.name for f in fields], [f.name for f in fields if f.required])
     try:
@@ -36,4 +39,7 @@ def converted(where: str, content: Any, kind: type[Any], forms: Mapping[str, str
     except msgspec.ValidationError as error:
         at = re.search(r"\$\.(\w+)", str(error))
         key = at[1] if at else fields[0].name
-        raise InputError(f"{where}: {key!r} must be {forms[key]}, got {content.get(key)!r:.80}") from None
+        form = forms.get(key) or re.sub(r"Expected |(, got| - at).*", "", str(error))
+        for word, plain in WORDS.items():
+            form = form.replace(word, plain)
+        raise InputError(f"{where}: {key!r} must be {form}, got {content.get(key)!r:.80}") from None

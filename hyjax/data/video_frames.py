@@ -7,7 +7,7 @@ import bisect
 import contextlib
 import threading
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,8 +23,10 @@ from hyjax.util.reading import open_regular
 if TYPE_CHECKING:
     import av
 
-UNTOLD, REC_709 = 2, 1
-"""Colour matrices by FFmpeg's numbers."""
+UNTOLD, REC_709, LIMITED_RANGE = 2, 1, 1
+"""Colour matrices and a range of values by FFmpeg's numbers."""
+ENCODERS = ("libx264", "libx265", "hevc", "h264")
+"""Video encoders, the first that FFmpeg has is taken."""
 MOST_PIXELS = 8192 * 4352
 """Most pixels of a picture: those of H.265's highest level, a little over 8K."""
 LIMITS = {"max_pixels": str(MOST_PIXELS)}
@@ -138,11 +140,40 @@ def _colours(frame: "av.VideoFrame") -> UInt8[np.ndarray, "h w 3"]:
 
 
 @contextlib.contextmanager
-def new_video(path: Path) -> Iterator[Any]:
-    """PyAV's container of a new MP4 file. Python writes the file, as FFmpeg may not report a full disk."""
+def new_video(
+    path: Path, size: tuple[int, int], rate: int, pixels: str = "yuv420p", **options: str
+) -> Iterator[Callable[[UInt8[np.ndarray, "h w 3"]], None]]:
+    """Function that adds a picture to a new MP4 file. Python writes the file, as FFmpeg may not report a full disk.
+
+    Args:
+        size: height and width.
+        rate: pictures a second.
+        pixels: FFmpeg's name of their format; the usual one wants an even height and width.
+        options: of the encoder.
+    """
     av = import_av(f"writing {path.name}")
     with path.open("wb") as file, av.open(file, "w", format="mp4") as container:
-        yield container
+        stream = container.add_stream(_encoder(av, path.name), rate=rate, options=options)
+        (stream.height, stream.width), stream.pix_fmt = size, pixels
+        stream.codec_context.colorspace, stream.codec_context.color_range = REC_709, LIMITED_RANGE
+
+        def add(picture: UInt8[np.ndarray, "h w 3"]) -> None:
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+            frame = frame.reformat(format=pixels, dst_colorspace=REC_709, dst_color_range=LIMITED_RANGE)
+            container.mux(stream.encode(frame))
+
+        yield add
+        container.mux(stream.encode())
+
+
+def _encoder(av: Any, name: str) -> str:
+    for encoder in ENCODERS:
+        try:
+            av.codec.Codec(encoder, "w")
+        except ValueError:  # av.codec.codec.UnknownCodecError
+            continue
+        return encoder
+    raise InputError(f"writing {name}: FFmpeg has none of the encoders {', '.join(ENCODERS)}")
 
 
 def import_av(what: str) -> Any:

@@ -1,10 +1,8 @@
 """Any capture written as a Stray Scanner recording; see `hyjax.data.stray` for the layout."""
 
 import itertools
-from collections.abc import Iterable, Iterator
-from fractions import Fraction
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -14,19 +12,15 @@ from hyjax.data.capture import Capture, Frame
 from hyjax.data.phone_captures import PIXEL_CENTRE
 from hyjax.data.recording import Y_UP
 from hyjax.data.stray import LENS, MATRIX, NEEDED_COLUMNS, ODOMETRY, VIDEO
-from hyjax.data.video_frames import REC_709, import_av, new_video
+from hyjax.data.video_frames import new_video
 from hyjax.data.writers import Frames, seen_through, turned_up
 from hyjax.util.errors import InputError
 from hyjax.util.files import write_text
 from hyjax.util.images import to_bytes, write_depth, write_labels
 
-ENCODERS = ("libx264", "libx265", "hevc", "h264")
-"""Video encoders, the first that FFmpeg has is taken."""
-QUALITY = {"crf": "6", "x265-params": "log-level=none"}
+QUALITY = {"crf": "6", "g": "15", "x265-params": "log-level=none"}
 """Options of the encoders; at this constant rate factor most pixels change by less than a step of 8 bits."""
 FOLDERS = ("depth", "confidence")
-KEY_INTERVAL = 15
-LIMITED_RANGE = 1
 
 
 def fill_stray(capture: Capture, frames: Frames, folder: Path) -> None:
@@ -35,7 +29,6 @@ def fill_stray(capture: Capture, frames: Frames, folder: Path) -> None:
     The world is turned so that up is y. Exposures and the device's mesh are not kept, nor depth maps that no frame
     has; depth that is seen through another lens than the picture's is sampled anew, as this layout has one lens.
     """
-    av = import_av("writing rgb.mp4")
     turn = turned_up(capture.up, Y_UP)
     rows: list[list[float]] = []
 
@@ -45,7 +38,7 @@ def fill_stray(capture: Capture, frames: Frames, folder: Path) -> None:
             rows.append(_row(frame, turn))
             yield frame.image
 
-    _write_video(av, folder / VIDEO, pictures())
+    _write_video(folder / VIDEO, pictures())
     lines = (
         ", ".join([repr(time), f"{number:06d}", *map(repr, numbers)])
         for number, (time, *numbers) in enumerate(rows)
@@ -63,38 +56,18 @@ def _row(frame: Frame, turn: Float[np.ndarray, "4 4"]) -> list[float]:
     return [float(value) for value in (frame.time, *pose[:3, 3], *quaternion, *lens)]
 
 
-def _write_video(av: Any, path: Path, pictures: Iterable[Float[np.ndarray, "h w 3"]]) -> None:
+def _write_video(path: Path, pictures: Iterator[Float[np.ndarray, "h w 3"]]) -> None:
     """Thirty pictures a second, colours at full resolution."""
-    pictures = iter(pictures)
     first = next(pictures)
-    with new_video(path) as container:
-        stream = container.add_stream(_encoder(av), rate=30, options=QUALITY)
-        stream.height, stream.width = first.shape[:2]
-        stream.pix_fmt = "yuv444p"  # which also takes sizes that are odd
-        stream.codec_context.gop_size = KEY_INTERVAL
-        stream.codec_context.colorspace, stream.codec_context.color_range = REC_709, LIMITED_RANGE
+    # Colours of this format also take sizes that are odd.
+    with new_video(path, first.shape[:2], 30, "yuv444p", **QUALITY) as add:
         for number, picture in enumerate(itertools.chain([first], pictures)):
             if picture.shape != first.shape:
                 sizes = [f"{shape[1]}x{shape[0]}" for shape in (picture.shape, first.shape)]
                 raise InputError(
                     f"{path.name}: frame {number} is {sizes[0]}, the first is {sizes[1]}; a video has one size"
                 )
-            pixels = to_bytes(picture)
-            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
-            frame = frame.reformat(format="yuv444p", dst_colorspace=REC_709, dst_color_range=LIMITED_RANGE)
-            frame.pts, frame.time_base = number, Fraction(1, 30)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
-
-
-def _encoder(av: Any) -> str:
-    for name in ENCODERS:
-        try:
-            av.codec.Codec(name, "w")
-        except ValueError:  # av.codec.codec.UnknownCodecError
-            continue
-        return name
-    raise InputError(f"writing {VIDEO}: FFmpeg has none of the encoders {', '.join(ENCODERS)}")
+            add(to_bytes(picture))
 
 
 def _write_depth(folder: Path, number: int, frame: Frame) -> None:

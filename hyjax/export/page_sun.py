@@ -4,6 +4,7 @@ import logging
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from hyjax.data.frames import spread
 from hyjax.device.page_scene import setup_content
@@ -34,15 +35,10 @@ def sun_table(scene: Scene) -> dict[str, Any] | None:
     tell_made_up("sun by the hour", anchors, lights_from_outside(plan, anchors.up)[0])
     photo = scene.photo_light.estimate.light if scene.knows_photo_light else None
     lighting, rows = Lighting(scene.caster, cameras, anchors.up, photo), []
-    for hour in np.arange(0.0, 24.0, STEP_HOURS):
-        at = _at(plan, float(hour))
-        rows.append(
-            {
-                "hour": float(hour),
-                "lux": lighting.outside(at).lux,
-                "lights": setup_content(lighting.setup(at))["lights"],
-            }
-        )
+    for hour in np.arange(0.0, 24.0, STEP_HOURS).tolist():
+        at = replace(plan, hour=hour)
+        lights = setup_content(lighting.setup(at))["lights"]
+        rows.append({"hour": hour, "lux": lighting.outside(at).lux, "lights": lights})
     return {
         "day": plan.day,
         "latitude": plan.latitude,
@@ -52,9 +48,3 @@ def sun_table(scene: Scene) -> dict[str, Any] | None:
         "least_ambient": LEAST_AMBIENT,
         "surface_area": lighting.surface_area,
     }
-
-
-def _at(plan: Any, hour: float) -> Any:
-    from msgspec.structs import replace
-
-    return replace(plan, hour=hour).check()

@@ -15,14 +15,21 @@ from hyjax.configuration import PRESETS, Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.data.frames import select_frames, spread
-from hyjax.device.frame_program import SceneCounts
-from hyjax.device.page_content import PAGE_FORMAT, frame_entry, frame_picture, page_programs, page_scripts
-from hyjax.device.page_scene import describe_scene, light_keys, pack_scene, setup_content
+from hyjax.device.page_content import (
+    RAYS,
+    RESOLUTIONS,
+    SCENE_FILE,
+    followed_programs,
+    frame_entry,
+    frame_picture,
+    page_content,
+    page_scripts,
+    scene_content,
+)
 from hyjax.device.scene_arrays import scene_arrays
 from hyjax.export.page_sun import sun_table
 from hyjax.export.single_page import check_single_file, is_single, new_single_page
-from hyjax.geometry.shadow_caster import RESOLUTION, VIEW_RESOLUTION
-from hyjax.light.setup import REFERENCE_LUX, LightSetup
+from hyjax.light.setup import LightSetup
 from hyjax.relighting.pictures import HEADINGS, sheet_row
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
@@ -32,16 +39,12 @@ from hyjax.util.files import new_folder
 from hyjax.util.images import resize
 from hyjax.util.reading import read_json
 
-RESOLUTIONS = RESOLUTION, VIEW_RESOLUTION
-"""Texels a side of shadow maps with one view, and of each of several, where lights lie still."""
-RAYS = 128
-"""Rays of each point of the light transport, half of those of `relight`."""
 FRAMES = 24
 """Most frames of a page that names none."""
 SHEET_ROWS = 3
 THUMBNAIL, THUMBNAIL_WIDTH = "thumbnail.jpg", 640
 _OF_PRESETS = "programs", "resolutions", "exponent"
-_PAGE_FILE, _SCENE_FILE = "page.json", "scene.bin"
+_PAGE_FILE = "page.json"
 _log = logging.getLogger(__name__)
 
 
@@ -53,8 +56,7 @@ def export_web(settings: Any) -> dict[str, Any]:
     configuration = dataclasses.replace(settings.open_configuration(), schedule=settings.open_schedule())
     configuration = configuration.followed_by("page")
     scene = Scene.open(settings.scene, progress=not settings.quiet)
-    every = range(len(scene))
-    frames = spread(every, FRAMES) if settings.frames is None else select_frames(settings.frames, len(scene))
+    frames = None if settings.frames is None else select_frames(settings.frames, len(scene))
     setup = scene.lights(settings.lights, at_photo_sources=True)
     presets = [Configuration.preset(name) for name in PRESETS if settings.presets and name != configuration.name]
     return write_page(
@@ -66,7 +68,7 @@ def write_page(
     scene: Scene,
     setup: LightSetup,
     configuration: Configuration | Schedule,
-    frames: Sequence[int],
+    frames: Sequence[int] | None,
     out: Path,
     *,
     presets: Sequence[Configuration] = (),
@@ -83,6 +85,7 @@ def write_page(
     Args:
         out: folder; or a single file, which ends in .html.
         configuration: how frames are relit, as far as pages follow it, or a schedule for the default one.
+        frames: by position in the capture; `FRAMES`, spread over it, by default.
         presets: configurations that may be chosen on the page in the place of its own.
         resolutions: texels a side of shadow maps with one view, and of each of several, at a scale of 1.
         lossless: whether frames are PNG and not JPEG files.
@@ -91,6 +94,7 @@ def write_page(
     Returns:
         The content of page.json.
     """
+    frames = spread(range(len(scene)), FRAMES) if frames is None else frames
     if not frames:
         raise InputError("web: no frames; choose at least one")
     configuration = Configuration.of(configuration).followed_by("page", say=False)
@@ -98,9 +102,8 @@ def write_page(
     check_page_folder(out)
     with new_single_page(out) if is_single(out) else new_folder(out, replace=True) as folder, steps:
         arrays = scene_arrays(scene, rays=rays)
-        packed = pack_scene(arrays)
-        (folder / _SCENE_FILE).write_bytes(packed.content)
-        described = describe_scene(scene, setup, arrays)
+        described, packed = scene_content(scene, setup, arrays)
+        (folder / SCENE_FILE).write_bytes(packed)
         steps.update()
         entries = []
         for index in frames:
@@ -111,26 +114,13 @@ def write_page(
             raise InputError("web: the frames are of several sizes; give one with --size")
         (size,) = sizes
         programs, *others = (
-            _programs(arrays.counts, size, chosen, resolutions) for chosen in (configuration, *presets)
+            followed_programs(arrays.counts, size, chosen, resolutions) for chosen in (configuration, *presets)
         )
         by_hour = sun_table(scene) if sun else None
         steps.update()
-        content = {
-            "format": PAGE_FORMAT,
-            "made_by": "hyjax",
-            "name": scene.capture.name,
-            "size": list(size),
-            **programs,
-            "presets": {other["configuration"]: {key: other[key] for key in _OF_PRESETS} for other in others},
-            "scene": described,
-            "file": {"name": _SCENE_FILE, "bytes": packed.bytes, "compression": "gzip"},
-            "arrays": packed.entries,
-            "frames": entries,
-            "setup": setup_content(setup),
-            "default_reference_lux": REFERENCE_LUX,
-            "light_keys": light_keys(),
-            "sun": by_hour,
-        }
+        presets_of = {other["configuration"]: {key: other[key] for key in _OF_PRESETS} for other in others}
+        content = page_content(scene.capture.name, size, setup, entries) | programs | described
+        content |= {"presets": presets_of, "sun": by_hour}
         (folder / _PAGE_FILE).write_text(json.dumps(content), encoding="utf-8")
         own = configuration.with_choices({"sampling": 1})
         _write_sheet(Relighter(scene, setup, own, whole=True), frames, folder)
@@ -139,16 +129,6 @@ def write_page(
         (folder / "README.md").write_text(_readme(content), encoding="utf-8")
         steps.update()
     return content
-
-
-def _programs(
-    counts: SceneCounts, size: tuple[int, int], configuration: Configuration, resolutions: tuple[int, int]
-) -> dict[str, Any]:
-    """Programs of a configuration, as far as pages follow it, and the exponent of the photo's light."""
-    followed = configuration.followed_by("page", say=False)
-    single, several = (max(16, round(side * followed.shadows.map_scale)) for side in resolutions)
-    programs = page_programs(counts, size, followed, (single, several))
-    return programs | {"configuration": configuration.name, "exponent": followed.light.photo_exponent}
 
 
 def check_page_folder(out: Path) -> None:

@@ -42,7 +42,6 @@ from hyjax.light.view import View
 from hyjax.pipeline import refine_illuminance, refine_visibility
 from hyjax.scene.photo_light import ScenePhotoLight
 from hyjax.scene.relighter import casters, scaled
-from hyjax.scene.settings import Occluders
 from hyjax.tour.editable_scene import EditableScene, SceneParts
 from hyjax.tour.furniture import Part, merge_gbuffers
 from hyjax.tour.layers import (
@@ -134,37 +133,19 @@ class Arrangement:
         """Surface points that a camera saw before the plan moved anything."""
         return self._seen(camera, self._scene.apply(TourPlan()))
 
-    def lights(
-        self, lights: LightSetup | Sequence[Light] | str | Path, *, at_photo_sources: bool = False
-    ) -> LightSetup:
+    def lights(self, lights: LightSetup | Sequence[Light] | str | Path, **_: Any) -> LightSetup:
         """A set-up as it is."""
         assert not isinstance(lights, str | Path)
         return LightSetup.of(lights)
 
     def shadow_maps(
-        self,
-        lights: LightSetup | Sequence[Light],
-        *,
-        occluders: Occluders = "completed",
-        scale: float = 1.0,
-        most_views: int | None = None,
+        self, lights: LightSetup | Sequence[Light], *, scale: float = 1.0, most_views: int | None = None, **_: Any
     ) -> tuple[ShadowMap | None, ...]:
-        """Shadow maps of lights; coarse ones in a draft, where there are no fine ones yet.
-
-        Args:
-            occluders: those of the parts throw them, whatever is asked.
-        """
-        size = scale, most_views
-        usable = LightSetup.of(lights).lights
+        """Shadow maps of lights that all parts throw; coarse ones in a draft, where there are no fine ones yet."""
+        usable, size = LightSetup.of(lights).lights, (scale, most_views)
         return tuple(self._shadow_map(light, size, self.is_coarse(light, *size)) for light in usable)
 
-    def surface_light(
-        self,
-        lights: LightSetup | Sequence[Light],
-        *,
-        shadows: bool = True,
-        occluders: Occluders = "completed",
-    ) -> SurfaceLight:
+    def surface_light(self, lights: LightSetup | Sequence[Light], **_: Any) -> SurfaceLight:
         """Photo's own light and the bounces of new lights, on the scan's vertices."""
         assert self._photo is not None
         setup, light = LightSetup.of(lights), self._photo.estimate.light

@@ -4,9 +4,6 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import Float
-
 from hyjax.configuration import Configuration
 from hyjax.data.capture import Frame
 from hyjax.data.recording import mean_up
@@ -61,9 +58,7 @@ class Arriving:
                 reasons = "; ".join(f"{count} frames: {reason}" for reason, count in self._scene.skipped.items())
                 raise InputError(f"live: the frames ended before there was a surface {reasons}".rstrip())
         early = list(self._early)
-        up: Float[np.ndarray, 3] = (
-            mean_up([frame.camera.pose for frame in early], "live") if self._up is None else self._up
-        )
+        up = mean_up([frame.camera.pose for frame in early], "live") if self._up is None else self._up
         capture = LiveCapture(up)
         for frame in early:  # one alone may look beside the surface
             capture.append(frame)

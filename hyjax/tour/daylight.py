@@ -1,6 +1,5 @@
 """Daylight of a plan in words: date, hour, sun or moon, and where the windows look."""
 
-import datetime
 import math
 
 import numpy as np
@@ -26,14 +25,7 @@ def describe_daylight(plan: TourPlan, up: Float[np.ndarray, "3"]) -> str:
         light = f"{sky.sky:,.0f} lux from the sky"
     else:
         light = "dark outside"
-    day = datetime.date.fromisoformat(plan.day)
-    through = (
-        "; open sky"
-        if plan.open_sky
-        else "".join(
-            f"; window {number + 1} looks {COMPASS_POINTS[round(bearing / 45) % 8]}"
-            for number, window in enumerate(plan.windows)
-            for bearing in [(plan.north - north_for_bearing(window, 0.0, up)) % 360]
-        )
-    )
-    return f"{day:%-d %B}, {clock}: {light}{through}"
+    looks = [(plan.north - north_for_bearing(window, 0.0, up)) % 360 for window in plan.windows]
+    points = [COMPASS_POINTS[round(bearing / 45) % 8] for bearing in looks]
+    through = [f"; window {number} looks {point}" for number, point in enumerate(points, 1)]
+    return f"{plan.date():%-d %B}, {clock}: {light}{'; open sky' if plan.open_sky else ''.join(through)}"

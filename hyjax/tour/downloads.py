@@ -8,14 +8,13 @@ import threading
 from collections.abc import Callable, Generator
 from pathlib import Path
 
-import av
 import numpy as np
 
-from hyjax.data.frames import spread
+from hyjax.configuration import Configuration
 from hyjax.data.light_file import write_lights
 from hyjax.data.video_frames import new_video
-from hyjax.export.web import FRAMES, write_page
 from hyjax.geometry.mesh import save_mesh
+from hyjax.light.setup import LightSetup
 from hyjax.scene.scene import Scene
 from hyjax.tour.messages import Message, packed
 from hyjax.tour.plan import TourPlan
@@ -32,11 +31,17 @@ DOWNLOADS = ("png", "exr", "lights", "mesh", "page", "video")
 """Tasks whose answer is a file."""
 
 
+PageWriter = Callable[[Scene, LightSetup, Configuration, None, Path], object]
+"""Writer of a page with some frames of a scene, such as `hyjax.export.web.write_page`."""
+
+
 class Downloads:
     """Files of a tour."""
 
-    def __init__(self, renderer: Renderer, out: Path, queue: RenderQueue) -> None:
-        self._renderer, self._out, self._queue = renderer, out, queue
+    def __init__(
+        self, renderer: Renderer, out: Path, queue: RenderQueue, write_page: PageWriter | None = None
+    ) -> None:
+        self._renderer, self._out, self._queue, self._write_page = renderer, out, queue, write_page
         self._lock, self._writing = threading.Lock(), threading.Lock()
         self._making_video = False
 
@@ -61,18 +66,17 @@ class Downloads:
             setup = renderer.lighting.setup(plan)
             return self._written(message, "lights.json", lambda file: write_lights(file, setup))
         if message.task == "page":
-            return self._written(message, "room.html", lambda file: self._write_page(plan, viewpoint, file))
+            return self._written(message, "room.html", lambda file: self._page(plan, viewpoint, file))
         mesh = renderer.scene.apply_to_mesh(plan)
         return self._written(message, "mesh.ply", lambda file: save_mesh(file, mesh))
 
-    def _write_page(self, plan: TourPlan, viewpoint: Viewpoint, file: Path) -> None:
-        """A page of the room and these lights, that needs no server; furniture is where it was scanned."""
+    def _page(self, plan: TourPlan, viewpoint: Viewpoint, file: Path) -> None:
+        """Write a page of the room and these lights, that needs no server; furniture is where it was scanned."""
         renderer = self._renderer
-        if not isinstance(renderer.place, Scene):
+        if self._write_page is None or not isinstance(renderer.place, Scene):
             raise InputError("page: frames are still arriving; a page is made of a capture that is whole")
-        setup, frames = renderer.lighting.setup(plan), spread(range(len(renderer.place)), FRAMES)
         configuration = dataclasses.replace(renderer.configuration, schedule=viewpoint.schedule)
-        write_page(renderer.place, setup, configuration, frames, file)
+        self._write_page(renderer.place, renderer.lighting.setup(plan), configuration, None, file)
 
     def _written(self, message: Message, name: str, write: Callable[[Path], object]) -> bytes:
         """Write a file and read it back before another visitor's takes its place."""
@@ -106,16 +110,9 @@ def write_video(renderer: Renderer, plan: TourPlan, viewpoint: Viewpoint, file: 
     Args:
         renderer, plan, viewpoint: as for `Renderer.render`; of the viewpoint, all but its frame and camera.
     """
-    with atomic_write(file) as temporary, new_video(temporary) as container:
-        height, width = renderer.frame(0).camera.intrinsics.shape
-        stream = container.add_stream("libx264", rate=FRAME_RATE)
-        stream.width, stream.height = width - width % 2, height - height % 2  # as the colour format wants
-        stream.pix_fmt = "yuv420p"
-        stream.options = {"crf": "18"}
+    height, width = (side - side % 2 for side in renderer.frame(0).camera.intrinsics.shape)  # as videos want
+    with atomic_write(file) as temporary, new_video(temporary, (height, width), FRAME_RATE, crf="18") as add:
         for index in range(len(renderer.capture)):
             each = Viewpoint(index, viewpoint.shown, viewpoint.schedule)
-            rendered = renderer.render(plan, each, seconds=index / FRAME_RATE)
-            picture = np.ascontiguousarray(rendered.picture[: stream.height, : stream.width])
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            add(renderer.render(plan, each, seconds=index / FRAME_RATE).picture[:height, :width])
             yield
-        container.mux(stream.encode())

@@ -14,7 +14,6 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.scene.occluders import complete
 from hyjax.tour.furniture import Part, Plane, cast_parts, piece_at, shell_planes
 from hyjax.tour.plan import Piece, TourPlan
-from hyjax.util.errors import InputError
 from hyjax.util.lru_cache import LruCache
 from hyjax.util.vectors import perpendicular, unit
 
@@ -147,14 +146,16 @@ class EditableScene:
 
     def pick(self, plan: TourPlan, origin: ArrayLike, direction: ArrayLike) -> SurfaceHit | None:
         """First surface on a ray, or next to a ray through a hole of the scan; None if there is none."""
-        origin, ray = np.asarray(origin, float), unit(direction)
+        origin, ray, scene = np.asarray(origin, float), unit(direction), self.apply(plan)
         across = unit(perpendicular(ray))
         for tangent in NEARBY_TANGENTS:
-            turns = np.linspace(0.0, 2.0 * np.pi, 8 if tangent else 1, endpoint=False)
-            for turn in turns:
-                aside = np.cos(turn) * across + np.sin(turn) * np.cross(ray, across)
-                if (hit := self._cast_ray(plan, origin, ray + tangent * aside)) is not None:
-                    return hit
+            turns = np.linspace(0.0, 2.0 * np.pi, 8 if tangent else 1, endpoint=False)[:, None]
+            rays = ray + tangent * (np.cos(turns) * across + np.sin(turns) * np.cross(ray, across))
+            distances, normals, numbers = cast_parts(scene.parts, np.broadcast_to(origin, rays.shape), rays)
+            for first in np.flatnonzero(np.isfinite(distances))[:1]:
+                point, number = origin + distances[first] * rays[first], numbers[first]
+                pose, normal = scene.parts[number].pose, face_toward(normals[first], rays[first])
+                return SurfaceHit(point, normal, scene.pieces[number], (point - pose[:3, 3]) @ pose[:3, :3])
         return None
 
     def visible_surface(
@@ -166,17 +167,6 @@ class EditableScene:
         hit = np.isfinite(distances)
         points = origins[hit] + distances[hit, None] * directions[hit]
         return points, face_toward(normals[hit], directions[hit])
-
-    def _cast_ray(
-        self, plan: TourPlan, start: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]
-    ) -> SurfaceHit | None:
-        scene = self.apply(plan)
-        distances, normals, numbers = cast_parts(scene.parts, start[None], direction[None])
-        if not np.isfinite(distances[0]):
-            return None
-        pose, point = scene.parts[numbers[0]].pose, start + distances[0] * direction
-        scanned = (point - pose[:3, 3]) @ pose[:3, :3]
-        return SurfaceHit(point, face_toward(normals[0], direction), scene.pieces[numbers[0]], scanned)
 
     def piece_mesh(self, piece: Piece) -> trimesh.Trimesh | None:
         """The surface of a piece where it was scanned; None if there is nothing at its seed but the room itself."""
@@ -195,13 +185,6 @@ class EditableScene:
             if faces is not None and mask is not None and bool((faces & mask).any()):
                 return number
         return None
-
-    def check_piece(self, piece: Piece) -> None:
-        """Raise `InputError` if there is no furniture at a piece's seed."""
-        if self.piece_mesh(piece) is None:
-            raise InputError(
-                "there is no furniture here, only the room itself; click on something that stands in it"
-            )
 
     def _faces(self, piece: Piece) -> np.ndarray | None:
         return self._parts(("faces", piece.seed), lambda: piece_at(self.mesh, np.asarray(piece.seed), self.up))

@@ -5,6 +5,7 @@ falls apart into pieces.
 """
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import jax
@@ -12,13 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 import trimesh
 from jaxtyping import Array, Bool, Float, Int
-from scipy import sparse
 
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.rasterizer import RasterView
 from hyjax.geometry.raycast import Hits, RayCaster
+from hyjax.geometry.transport_rays import wall_axes
 from hyjax.light.gbuffer import GBuffer
-from hyjax.tour.placement import compass
 
 SHELL_THICKNESS = 0.07
 """Largest distance, in metres, of floor, ceiling and outer walls from their planes; up to twice that by binning."""
@@ -59,9 +59,7 @@ def piece_at(
             return None
         seed = int(np.flatnonzero(near)[np.argmin(distance[near])])
     pairs = mesh.face_adjacency[loose[mesh.face_adjacency].all(axis=1)]
-    count = len(mesh.faces)
-    graph = sparse.coo_matrix((np.ones(len(pairs), bool), pairs.T), (count, count))
-    _, label = sparse.csgraph.connected_components(graph, directed=False)
+    label = trimesh.graph.connected_component_labels(pairs, node_count=len(mesh.faces))
     piece = (label == label[seed]) & loose
     if np.ptp(mesh.vertices[mesh.faces[piece].reshape(-1)], axis=0).max() > LARGEST_PIECE:
         piece &= (np.abs(centres - np.asarray(point)) < BOX_REACH).all(axis=1)
@@ -80,7 +78,7 @@ def shell_planes(mesh: trimesh.Trimesh, up: Float[np.ndarray, "3"]) -> list[Plan
     """Planes of floor, ceiling and outer walls; not all are always known."""
     normals, areas, centres = mesh.face_normals, mesh.area_faces, mesh.triangles_center
     planes = []
-    for axis in _axes(normals, areas, np.asarray(up, float)):
+    for axis in wall_axes(mesh, up)[::-1]:
         height = centres @ axis
         across = np.abs(normals @ axis) > 0.9
         if not across.any():
@@ -97,18 +95,6 @@ def shell_planes(mesh: trimesh.Trimesh, up: Float[np.ndarray, "3"]) -> list[Plan
             if areas[centres @ inward - outer < -2 * SHELL_THICKNESS].sum() < OUTSIDE_SHARE * areas.sum():
                 planes.append(Plane(inward, float(place), float(outer)))
     return planes
-
-
-def _axes(
-    normals: Float[np.ndarray, "m 3"], areas: Float[np.ndarray, "m"], up: Float[np.ndarray, "3"]
-) -> list[Float[np.ndarray, "3"]]:
-    """Up and the two directions that most of the upright surface faces."""
-    x, y, up = compass(0.0, up)
-    upright = np.abs(normals @ up) < 0.3
-    angle = np.arctan2(normals[upright] @ y, normals[upright] @ x)
-    # Four times the angle is the same for all four walls; its weighted mean is theirs.
-    turn = np.angle(np.sum(areas[upright] * np.exp(4j * angle))) / 4 if upright.any() else 0.0
-    return [up, np.cos(turn) * x + np.sin(turn) * y, -np.sin(turn) * x + np.cos(turn) * y]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -191,10 +177,7 @@ def cast_parts(
 
 def merge_gbuffers(parts: list[GBuffer]) -> GBuffer:
     """G-buffer of several parts: pixel by pixel the part in front."""
-    merged = parts[0]
-    for part in parts[1:]:
-        merged = _nearer_of_two(merged, part)
-    return merged
+    return functools.reduce(_nearer_of_two, parts)
 
 
 @jax.jit

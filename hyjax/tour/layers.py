@@ -43,30 +43,19 @@ class Caches:
 
     def __init__(self) -> None:
         self.kept = LruCache(KEPT_MIB, mebibytes)
-        kinds = "frame", "map", "layer", "bounces", "points"
-        self.frames, self.maps, self.layers, self.bounces, self.points = (
-            CachePart(self.kept, kind) for kind in kinds
-        )
+        parts = (CachePart(self.kept, kind) for kind in ("frame", "map", "layer", "bounces", "points"))
+        self.frames, self.maps, self.layers, self.bounces, self.points = parts
 
 
-@dataclasses.dataclass(frozen=True)
 class KeptGuide:
     """Guide whose features of one frame are kept."""
 
-    guide: FrameGuide
-    keep: Callable[[Callable[[], Float[Array, "h w f"]]], Float[Array, "h w f"]]
-
-    @property
-    def name(self) -> str:
-        return self.guide.name
-
-    @property
-    def fingerprint(self) -> str:
-        return self.guide.fingerprint
+    def __init__(self, guide: FrameGuide, keep: Callable[..., Float[Array, "h w f"]]) -> None:
+        self.name, self.fingerprint, self._guide, self._keep = guide.name, guide.fingerprint, guide, keep
 
     def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
         """Features, made once."""
-        return self.keep(lambda: jax.block_until_ready(self.guide.features(display)))
+        return self._keep(lambda: jax.block_until_ready(self._guide.features(display)))
 
 
 @jax.tree_util.register_dataclass
@@ -111,11 +100,6 @@ def without_radius(light: Light) -> Light:
     return dataclasses.replace(light, **none)  # type: ignore[type-var]
 
 
-def round_up(count: int) -> int:
-    """Count rounded up to a multiple of `CHANNELS`."""
-    return -(-count // CHANNELS) * CHANNELS
-
-
 def stack_layers(
     layers: Sequence[tuple[Light, Layer]], uniform: Sequence[Light], hit: Bool[Array, "h w"], reference_lux: float
 ) -> Shaded:
@@ -124,7 +108,7 @@ def stack_layers(
     Args:
         hit: where there is a surface.
     """
-    count = round_up(len(layers))
+    count = -(-len(layers) // CHANNELS) * CHANNELS
     strengths, colors = np.zeros(count, np.float32), np.ones((count, 3), np.float32)
     for k, (light, _) in enumerate(layers):
         strengths[k], colors[k] = getattr(light, light.STRENGTH), light.color
@@ -159,21 +143,9 @@ def add_bounces(
         bounced: lights, each with its own if it were white and of strength 1.
         least: illuminance that they are filled up to.
     """
-    count = round_up(max(len(bounced), 1))
-    scales = np.zeros((count, 3), np.float32)
-    for k, (light, _) in enumerate(bounced):
-        scales[k] = getattr(light, light.STRENGTH) * np.asarray(light.color)
-    padded = (*(own for _, own in bounced), *[jnp.zeros((points, 3))] * (count - len(bounced)))
-    return _add_up(padded, scales, least)
-
-
-@jax.jit
-def _add_up(
-    bounces: tuple[Float[Array, "v 3"], ...], scales: Float[Array, "l 3"], least: Float[Array, "3"]
-) -> Float[Array, "v 3"]:
-    total = jnp.zeros_like(bounces[0])
-    for k, bounced in enumerate(bounces):
-        total += scales[k] * bounced
+    total = jnp.zeros((points, 3))
+    for light, own in bounced:
+        total += getattr(light, light.STRENGTH) * np.asarray(light.color, np.float32) * own
     return jnp.maximum(total, least)
 
 

@@ -23,14 +23,16 @@ from hyjax.light.kinds import (
     SkyLight,
     SpotLight,
 )
+from hyjax.light.kinds.directional import SUN_DEGREES
 from hyjax.light.photo_light import PhotoLight
 from hyjax.light.setup import REFERENCE_LUX, LightSetup, geometry_key
 from hyjax.scene.exposure import exposed
+from hyjax.scene.light_places import WindowPlace
 from hyjax.scene.light_response import Response, assumed_response, measured_response
 from hyjax.scene.light_setups import EXPOSURES
 from hyjax.scene.seen_surface import SeenSurface
-from hyjax.tour.placement import as_point, compass, upright
-from hyjax.tour.plan import KINDS, Lamp, Point, TourPlan
+from hyjax.tour.placement import compass
+from hyjax.tour.plan import KINDS, Lamp, TourPlan
 from hyjax.util.lru_cache import LruCache
 from hyjax.util.vectors import unit
 
@@ -48,7 +50,7 @@ ADAPTATION = 0.8
 STRIP_SIZE = (1.0, 0.03)  # metres
 SPOT_DEGREES = 20.0, 40.0
 """Half angles of a spot's cone: fully lit inside the first, dark outside the second."""
-SUN_RADIUS = np.asarray(np.deg2rad(0.27), np.float32)
+SUN_RADIUS = np.asarray(np.deg2rad(SUN_DEGREES), np.float32)
 LEAST_COSINE = 0.02
 """Least cosine between the sun's direction and a window's normal for sun to come in."""
 LEAST_AMBIENT = 1e-3
@@ -199,8 +201,7 @@ def lights_from_outside(
         return lights, flux
     for window in plan.windows:
         inward, area = unit(np.asarray(window.normal)), window.width * window.height
-        center = as_point(np.asarray(window.center) + 0.01 * inward)
-        opening = _rectangle(center, as_point(inward), window.width, window.height, as_point(up))
+        opening = WindowPlace(np.asarray(window.center), inward, window.width, window.height).opening(up)
         # A tilted surface sees a part of the sky and a part of the ground.
         tilt = float(-inward @ up)
         outside = 0.5 * (1.0 + tilt) * sky.sky + 0.5 * (1.0 - tilt) * GROUND_REFLECTANCE * sky.ground
@@ -236,40 +237,26 @@ def _lamp_light(lamp: Lamp, lumen: float, up: Float[np.ndarray, "3"]) -> Light:
     flux, color = _float32(lumen), _color(lamp.kelvin)
     if lamp.color is not None and (brightness := float(luminance(jnp.asarray(lamp.color)))) > 0:
         color = _float32(np.asarray(lamp.color) / brightness)
-    position, direction = _float32(lamp.position), unit(np.asarray(lamp.direction))
+    position, direction = _float32(np.asarray(lamp.position)), unit(np.asarray(lamp.direction))
     radius, none = _float32(KINDS[lamp.kind].radius), _float32(0.0)
     if lamp.kind in ("bulb", "candle"):
         return PointLight(position, flux, color, radius, none)
     if lamp.kind == "spot":
         inner, outer = (_float32(np.deg2rad(degrees)) for degrees in SPOT_DEGREES)
         return SpotLight(position, _float32(direction), flux, color, inner, outer, radius, none)
-    return RectLight.filling(_rectangle(lamp.position, as_point(direction), *STRIP_SIZE, as_point(up)), flux, color)
-
-
-@functools.lru_cache(maxsize=256)
-def _rectangle(center: Point, normal: Point, width: float, height: float, up: Point) -> Aperture:
-    axis = np.asarray(normal)
-    return Aperture.facing(np.asarray(center), axis, upright(axis, np.asarray(up)), width, height)
+    return RectLight.filling(Aperture.facing(position, direction, up, *STRIP_SIZE), flux, color)
 
 
 def _strength(light: Light) -> float:
     return float(getattr(light, light.STRENGTH))
 
 
-def _color(kelvin: float) -> Float[np.ndarray, "3"]:
-    return _blackbody(round(_balanced(kelvin), 0))
-
-
 @functools.lru_cache(maxsize=4096)
-def _blackbody(kelvin: float) -> Float[np.ndarray, "3"]:
-    return _float32(blackbody(kelvin))
-
-
-def _float32(value: ArrayLike | Point) -> Float[np.ndarray, "*s"]:
-    return np.asarray(value, np.float32)
-
-
-def _balanced(kelvin: float) -> float:
-    """The colour temperature that light has in the picture."""
+def _color(kelvin: float) -> Float[np.ndarray, "3"]:
+    """Colour that light has in the picture."""
     neutral = 1.0 / NEUTRAL_KELVIN
-    return 1.0 / (neutral + (1.0 - BALANCE_SHARE) * (1.0 / kelvin - neutral))
+    return _float32(blackbody(1.0 / (neutral + (1.0 - BALANCE_SHARE) * (1.0 / kelvin - neutral))))
+
+
+def _float32(value: ArrayLike) -> Float[np.ndarray, "*s"]:
+    return np.asarray(value, np.float32)

@@ -14,11 +14,18 @@ import numpy as np
 
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
-from hyjax.device.page_content import PAGE_FORMAT, frame_entry, frame_picture, page_programs, page_scripts
-from hyjax.device.page_scene import describe_scene, light_keys, pack_scene, setup_content
+from hyjax.device.page_content import (
+    RAYS,
+    RESOLUTIONS,
+    SCENE_FILE,
+    followed_programs,
+    frame_entry,
+    frame_picture,
+    page_content,
+    page_scripts,
+    scene_content,
+)
 from hyjax.device.scene_arrays import scene_arrays
-from hyjax.geometry.shadow_caster import RESOLUTION, VIEW_RESOLUTION
-from hyjax.light.setup import REFERENCE_LUX
 from hyjax.scene.scene import Scene
 from hyjax.tour.lighting import ADAPTATION, LEAST_AMBIENT, WALL_REFLECTANCE
 from hyjax.tour.plan import KINDS, LARGEST_FACTOR, MOST_LAMPS, TourPlan
@@ -26,10 +33,6 @@ from hyjax.tour.renderer import Renderer
 from hyjax.tour.sky import Weather
 from hyjax.tour.viewpoint import Shown
 
-RESOLUTIONS = RESOLUTION, VIEW_RESOLUTION
-"""Texels a side of shadow maps with one view, and of each of several, on a visitor's GPU."""
-RAYS = 128
-"""Rays of each point of the light transport, there."""
 JSON = "application/json"
 mimetypes.add_type("text/javascript", ".js")
 _FRAME = re.compile(r"frames/(\d{1,8})\.jpg")
@@ -56,7 +59,7 @@ class PageFiles:
             return self._scripts[name], mimetypes.guess_type(name)[0] or "application/octet-stream"
         if name == "page.json":
             return msgspec.json.encode(self._page(plan)), JSON
-        if name in ("gpu.json", "scene.bin") and self.for_gpus:
+        if name in ("gpu.json", SCENE_FILE) and self.for_gpus:
             with self._lock:
                 described, packed = self._gpu
             return (json.dumps(described).encode(), JSON) if name == "gpu.json" else (packed, "application/gzip")
@@ -69,17 +72,13 @@ class PageFiles:
         """Whether visitors' GPUs may draw: no surface that changes, and nothing that they do not follow."""
         if self._engine == "server" or not isinstance(self._renderer.place, Scene):
             return False
-        return self._engine == "visitor" or self._configuration == self._followed
+        own = self._configuration
+        return self._engine == "visitor" or own == own.followed_by("page", say=False)
 
     @property
     def _configuration(self) -> Configuration:
         own = self._renderer.configuration.followed_by("tour", say=False)
         return dataclasses.replace(own, schedule=next(iter(self._schedules.values())))
-
-    @property
-    def _followed(self) -> Configuration:
-        """Configuration as a page follows it."""
-        return self._configuration.followed_by("page", say=False)
 
     def entry(self, index: int) -> dict[str, Any]:
         """Entry of a frame in page.json."""
@@ -88,21 +87,14 @@ class PageFiles:
     def _page(self, plan: TourPlan) -> dict[str, Any]:
         renderer = self._renderer
         photo, numbering = renderer.photo_light, renderer.numbering  # read before the frames that it numbers
-        height, width = renderer.camera(0).intrinsics.shape
-        return {
-            "format": PAGE_FORMAT,
-            "made_by": "hyjax",
-            "name": renderer.capture.name,
-            "size": [height, width],
-            "frames": [self.entry(index) for index in range(len(renderer.capture))],
+        size, setup = renderer.camera(0).intrinsics.shape, renderer.lighting.setup(plan)
+        entries = [self.entry(index) for index in range(len(renderer.capture))]
+        return page_content(renderer.capture.name, size, setup, entries) | {
             "scene": {
                 "up": renderer.up.tolist(),
                 "bounds": np.asarray(renderer.scene.mesh.bounds).tolist(),
                 "sources": [] if photo is None else list(photo.estimate.names),
             },
-            "setup": setup_content(renderer.lighting.setup(plan)),
-            "default_reference_lux": REFERENCE_LUX,
-            "light_keys": light_keys(),
             "sun": {
                 "rows": [],
                 "adaptation": ADAPTATION,
@@ -132,17 +124,8 @@ class PageFiles:
         renderer = self._renderer
         scene = renderer.place
         assert isinstance(scene, Scene)
-        configuration, kept = self._followed, renderer.photo_light is None
-        arrays = scene_arrays(
-            scene, keep_photo_light=kept, rays=RAYS, photo_exponent=configuration.light.photo_exponent
-        )
-        packed = pack_scene(arrays)
-        size = renderer.camera(0).intrinsics.shape
+        arrays = scene_arrays(scene, keep_photo_light=renderer.photo_light is None, rays=RAYS)
         setup = renderer.lighting.setup(renderer.first_plan())
-        described = {
-            **page_programs(arrays.counts, size, configuration, RESOLUTIONS),
-            "scene": describe_scene(scene, setup, arrays),
-            "file": {"name": "scene.bin", "bytes": packed.bytes, "compression": "gzip"},
-            "arrays": packed.entries,
-        }
-        return described, packed.content
+        content, packed = scene_content(scene, setup, arrays)
+        size = renderer.camera(0).intrinsics.shape
+        return followed_programs(arrays.counts, size, self._configuration, RESOLUTIONS) | content, packed

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from hyjax.light.kinds import Aperture
 from hyjax.scene.light_places import LightAnchors
 from hyjax.tour.plan import KINDS, MOST_WINDOWS, SIDE_RANGE, Lamp, LampKind, Point, TourPlan, Window
 from hyjax.util.errors import InputError
@@ -36,15 +37,6 @@ def north_for_bearing(window: Window, bearing: float, up: Float[np.ndarray, "3"]
     east, north, _ = compass(0.0, up)
     out = -unit(np.asarray(window.normal))
     return (math.degrees(math.atan2(out @ -east, out @ north)) + bearing) % 360.0
-
-
-def upright(normal: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """The unit direction across `normal` that is nearest to `up`; any, where normal and up are one."""
-    across = reject(up, normal)
-    if np.linalg.norm(across) < 1e-2:
-        axis = np.eye(3)[np.argmin(np.abs(normal))]
-        across = reject(axis, normal)
-    return unit(across)
 
 
 def sunny_plan(anchors: LightAnchors) -> TourPlan:
@@ -109,8 +101,8 @@ def draw_window(
     if (along > -1e-3).any():
         raise InputError("this wall is seen from the side; draw the window from in front of it")
     met = origin + ((anchor - origin) @ inward / along)[:, None] * corners
-    high = upright(inward, up)
-    across = np.cross(high, inward)
+    axes = Aperture.facing(anchor, inward, up, 2.0, 2.0)
+    across, high = np.asarray(axes.right, float), np.asarray(axes.up, float)
     # A rectangle on the screen is none on the wall: edges go half-way between their ends. Cameras may lie sideways.
     left, right = _edges((met - anchor) @ across)
     bottom, top = _edges((met - anchor) @ high)

@@ -5,16 +5,16 @@ Everything that comes from a browser or a file passes `check` before it is used.
 
 import dataclasses
 import datetime
-import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import msgspec
 import numpy as np
 from jaxtyping import Float
-from msgspec import inspect
 
+from hyjax.data.hand_written import converted
+from hyjax.geometry.camera import check_pose
 from hyjax.tour.sky import Sky, Weather, sky_at
-from hyjax.util.errors import InputError, did_you_mean
+from hyjax.util.errors import InputError
 from hyjax.util.reading import parse_json
 
 MOST_WINDOWS, MOST_LAMPS, MOST_PIECES = 8, 16, 8
@@ -96,7 +96,7 @@ class Piece(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     seed: Point
-    pose: Annotated[tuple[float, ...], msgspec.Meta(min_length=16, max_length=16)] = tuple(
+    pose: Annotated[tuple[Metres, ...], msgspec.Meta(min_length=16, max_length=16)] = tuple(
         np.eye(4).reshape(-1).tolist()
     )
     removed: bool = False
@@ -108,8 +108,20 @@ class Piece(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return np.asarray(self.pose, float).reshape(4, 4)
 
 
-LISTS: dict[str, type[msgspec.Struct]] = {"windows": Window, "lamps": Lamp, "pieces": Piece}
-"""Fields of a plan that are lists of things."""
+LISTS = {"windows": (Window, MOST_WINDOWS), "lamps": (Lamp, MOST_LAMPS), "pieces": (Piece, MOST_PIECES)}
+"""Fields of a plan that are lists, of what, and of how many at most."""
+FORMS = dict.fromkeys(("position", "center", "seed", "centre"), "three numbers in metres") | {
+    "direction": "three numbers",
+    "normal": "three numbers",
+    "color": "three numbers",
+    "kind": f"one of {', '.join(get_args(LampKind))}",
+    "weather": f"one of {', '.join(get_args(Weather))}",
+    "day": "a date such as 2026-06-21",
+    "pose": "the 16 numbers of a 4x4 matrix",
+    "file": "the name of a file in the tour's folder",
+    "existing": f"names of the photo's sources with a number in 0..{LARGEST_FACTOR} each",
+}
+"""Forms of values, where msgspec does not tell them."""
 
 
 class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -132,28 +144,16 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     north: Annotated[float, msgspec.Meta(ge=-720, le=720)] = 0.0
     weather: Weather = "clear"
     exposure: Annotated[float, msgspec.Meta(ge=-4, le=4)] = 0.0
-    windows: Annotated[tuple[Window, ...], msgspec.Meta(max_length=MOST_WINDOWS)] = ()
-    lamps: Annotated[tuple[Lamp, ...], msgspec.Meta(max_length=MOST_LAMPS)] = ()
-    pieces: Annotated[tuple[Piece, ...], msgspec.Meta(max_length=MOST_PIECES)] = ()
+    windows: tuple[Window, ...] = ()
+    lamps: tuple[Lamp, ...] = ()
+    pieces: tuple[Piece, ...] = ()
     open_sky: bool = False
     existing: dict[Annotated[str, msgspec.Meta(max_length=80, pattern=SOURCE_NAME)], Factor] = {}
 
     def check(self) -> "TourPlan":
         """Return self if it is valid."""
-        _converted(msgspec.to_builtins(self, enc_hook=_plain))._check_geometry()
+        _checked(msgspec.to_builtins(self, enc_hook=_plain))
         return self
-
-    def _check_geometry(self) -> None:
-        """Raise `InputError` for invalid dates, directions and poses, which types cannot express."""
-        self.date()
-        axes = {f"windows[{number}].normal": window.normal for number, window in enumerate(self.windows)}
-        axes |= {f"lamps[{number}].direction": lamp.direction for number, lamp in enumerate(self.lamps)}
-        for where, axis in axes.items():
-            if sum(v * v for v in axis) < 1e-12:
-                raise InputError(f"{where}: must not be the zero vector")
-        for number, piece in enumerate(self.pieces):
-            if not _is_rigid(piece.pose):
-                raise InputError(f"pieces[{number}].pose: must move and turn only")
 
     def date(self) -> datetime.date:
         """`day` as a date."""
@@ -176,69 +176,28 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @classmethod
     def from_json(cls, text: str) -> "TourPlan":
         """Plan of the text that `to_json` writes."""
-        plan = _converted(parse_json(text, "plan"))
-        plan._check_geometry()
-        return plan
+        return _checked(parse_json(text, "plan"))
 
 
-# ---- checks ----
-
-
-def _converted(content: Any) -> TourPlan:
-    """A plan from JSON's types."""
-    try:
-        return msgspec.convert(content, TourPlan)
-    except msgspec.ValidationError as error:
-        raise InputError(_explain(str(error), content)) from None
-
-
-def _explain(error: str, content: Any) -> str:
-    """Description of an error of msgspec: place, value, and the rule."""
-    message, _, path = error.replace(" - at `key` in `$", " - at `$").partition(" - at `$")
-    kind: type[msgspec.Struct] = TourPlan
-    value, where = content, ""
-    for name, number in re.findall(r"\.(\w+)(?:\[(\d+)\])?", path):
-        where, value, parent = f"{where}.{name}".lstrip("."), value[name], kind
-        if name in LISTS and number:
-            where, value, kind = f"{where}[{number}]", value[int(number)], LISTS[name]
-        else:
-            return f"{where}: {_rule(parent, name, value)}"
-    where, names = where or "plan", kind.__struct_fields__
-    if wrong := re.match(r"Object contains unknown field `(.*)`", message):
-        return f"{where}: unknown key {wrong[1]!r}{did_you_mean(wrong[1], names)}; there are {', '.join(names)}"
-    if wrong := re.match(r"Object missing required field `(.*)`", message):
-        return f"{where}: key {wrong[1]!r} is missing"
-    return f"{where}: must be a JSON object, got {value!r}"
-
-
-def _rule(kind: type[msgspec.Struct], name: str, value: Any) -> str:
-    """Rule of a field's value, and the value."""
-    (field,) = (f for f in inspect.type_info(kind).fields if f.name == name)  # type: ignore[attr-defined]
-    form = field.type
-    if isinstance(form, inspect.VarTupleType) and name in LISTS and isinstance(value, list | tuple):
-        return f"{len(value)} {name}, at most {form.max_length} on a tour"
-    if isinstance(form, inspect.LiteralType):
-        hint = did_you_mean(str(value), map(str, form.values))
-        return f"{value!r} is unknown{hint}; use one of {', '.join(map(str, form.values))}"
-    text = "the name of a file in the tour's folder" if name == "file" else "a date such as 2026-06-21"
-    rules: dict[type, str] = {
-        inspect.StrType: text,
-        inspect.TupleType: "three numbers in metres",
-        inspect.UnionType: "three numbers",
-        inspect.VarTupleType: "a list" if name in LISTS else "the 16 numbers of a 4x4 matrix",
-        inspect.BoolType: "true or false",
-        inspect.DictType: "names of the photo's sources with a number in 0..1.5 each",
-    }
-    rule = f"a number in {form.ge:g}..{form.le:g}" if isinstance(form, inspect.FloatType) else rules[type(form)]
-    return f"must be {rule}, got {value!r}"
-
-
-def _is_rigid(pose: tuple[float, ...]) -> bool:
-    """Whether a 4×4 matrix turns and moves, by less than a kilometre, and does nothing else."""
-    matrix = np.asarray(pose, float).reshape(4, 4)
-    turn = matrix[:3, :3]
-    near = np.abs(turn @ turn.T - np.eye(3)).max() <= 1e-3 and np.abs(matrix[:3, 3]).max() <= 1e3
-    return bool(np.isfinite(matrix).all() and near and np.linalg.det(turn) > 0)
+def _checked(content: Any) -> TourPlan:
+    """A plan from JSON's types, with dates, directions and poses that types cannot express."""
+    for name, (kind, most) in LISTS.items() if isinstance(content, dict) else ():
+        things = content.get(name)
+        if isinstance(things, list | tuple):
+            if len(things) > most:
+                raise InputError(f"{name}: {len(things)} {name}, at most {most} on a tour")
+            for number, thing in enumerate(things):
+                converted(f"{name}[{number}]", thing, kind, FORMS)
+    plan: TourPlan = converted("plan", content, TourPlan, FORMS)
+    plan.date()
+    axes = {f"windows[{number}].normal": window.normal for number, window in enumerate(plan.windows)}
+    axes |= {f"lamps[{number}].direction": lamp.direction for number, lamp in enumerate(plan.lamps)}
+    for where, axis in axes.items():
+        if sum(v * v for v in axis) < 1e-12:
+            raise InputError(f"{where}: must not be the zero vector")
+    for number, piece in enumerate(plan.pieces):
+        check_pose(piece.matrix, f"pieces[{number}].pose")
+    return plan
 
 
 def _plain(value: Any) -> Any:

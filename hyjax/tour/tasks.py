@@ -18,6 +18,7 @@ from hyjax.tour.placement import as_point, draw_window, place_window
 from hyjax.tour.plan import Piece
 from hyjax.tour.renderer import Renderer
 from hyjax.util.errors import InputError
+from hyjax.util.vectors import unit
 
 DRAWN_RAYS = 7
 """Rays a side through a rectangle that is drawn."""
@@ -56,11 +57,11 @@ def furniture(renderer: Renderer, message: Message) -> dict[str, Any]:
         return {"piece": hit.piece}
     x, y, z = (round(float(v), 4) for v in hit.origin)
     piece = Piece((x, y, z))
-    scene.check_piece(piece)
+    mesh = scene.piece_mesh(piece)
+    if mesh is None:
+        raise InputError("there is no furniture here, only the room itself; click on something that stands in it")
     if (number := scene.overlapping_piece(plan, piece)) is not None:
         return {"piece": number}
-    mesh = scene.piece_mesh(piece)
-    assert mesh is not None
     piece = replace(piece, centre=as_point(mesh.bounds.mean(axis=0).round(4)))
     replace(plan, pieces=(*plan.pieces, piece)).check()
     return {"new": piece}
@@ -118,7 +119,5 @@ def _rays(
     camera: Camera, pixels: Float[np.ndarray, "n 2"]
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "n 3"]]:
     """Start and unit directions of rays through places in the picture, in pixels from its corner."""
-    k = camera.intrinsics
-    local = np.column_stack([(pixels[:, 0] - k.cx) / k.fx, (pixels[:, 1] - k.cy) / k.fy, np.ones(len(pixels))])
-    rays = local @ camera.pose[:3, :3].T
-    return camera.origin, rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    local = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(camera.intrinsics.matrix).T
+    return camera.origin, unit(local @ camera.pose[:3, :3].T)

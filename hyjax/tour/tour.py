@@ -13,7 +13,7 @@ from hyjax.guide.choose import configured_guide
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import parse_size
 from hyjax.tour import tasks
-from hyjax.tour.downloads import DOWNLOADS, Downloads
+from hyjax.tour.downloads import DOWNLOADS, Downloads, PageWriter
 from hyjax.tour.kept_plan import KeptPlan
 from hyjax.tour.layers import RenderCancelled
 from hyjax.tour.messages import Message, packed
@@ -24,7 +24,7 @@ from hyjax.tour.settings import Engine, TourSettings
 from hyjax.tour.uploads import Uploads
 from hyjax.tour.viewpoint import Viewpoint, scale_schedule
 from hyjax.tour.visitor import Visitor, refusal
-from hyjax.tour.wire import Wire, check_port
+from hyjax.tour.wire import Wire, listen
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable
 from hyjax.util.hosts import LOCAL
@@ -51,6 +51,7 @@ class Tour:
     Args:
         schedules: to choose from, by name; the first is the default.
         out: folder that exports and the plan are written to, and nothing else is.
+        write_page: writer of pages that visitors take home; None for a live tour, which makes none.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class Tour:
         engine: Engine = "auto",
         host: str = LOCAL,
         port: int = 8080,
+        write_page: PageWriter | None = None,
     ) -> None:
         self.renderer, self.schedules, self.kept = renderer, dict(schedules), KeptPlan(renderer, out)
         self.visitors: dict[int, Visitor] = {}
@@ -70,7 +72,7 @@ class Tour:
         if light is not None and light.estimate.exponent == 0:
             notices.append(f"The photos keep their own light: it could not be estimated, {light.estimate.reason}.")
         self.queue = RenderQueue(self._render)
-        self._downloads = Downloads(renderer, out, self.queue)
+        self._downloads = Downloads(renderer, out, self.queue, write_page)
         self._uploads = Uploads(renderer, out)
         self._files = PageFiles(renderer, self.schedules, engine, notices)
         self._wire = Wire(host, port, lambda path: self._files.get(path, self.kept.plan), self._visit)
@@ -78,11 +80,11 @@ class Tour:
         self.queue.start()
 
     @classmethod
-    def open(cls, settings: TourSettings) -> "Tour":
+    def open(cls, settings: TourSettings, write_page: PageWriter) -> "Tour":
         """Open a scene and serve its tour."""
         # All that can be checked is checked before the first slow step.
         settings.check()
-        check_port(settings.host, settings.port)
+        listen(settings.host, settings.port).close()
         configuration, schedules = settings.open_configuration(), settings.open_schedules()
         configuration = configuration.followed_by(settings.renderer)
         configured_guide(configuration.guide)
@@ -101,7 +103,7 @@ class Tour:
         renderer = Renderer(
             scene, folder=settings.out, keep_photo_light=settings.keep_photo_light, configuration=configuration
         )
-        return cls(renderer, schedules, settings.out, **options)
+        return cls(renderer, schedules, settings.out, write_page=write_page, **options)
 
     @classmethod
     def _open_live(
@@ -210,5 +212,6 @@ class Tour:
         count = len(self.renderer.capture)
         first = 0 if forgotten else count - 1
         entries = [self._files.entry(index) for index in range(first, count)]
+        bounds = self.renderer.scene.mesh.bounds.tolist()
         for visitor in list(self.visitors.values()):
-            visitor.tell(frames=count, entries=entries, numbering=self.renderer.numbering)
+            visitor.tell(frames=count, entries=entries, numbering=self.renderer.numbering, bounds=bounds)

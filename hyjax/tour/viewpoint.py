@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.core.schedule import Level, Schedule
+from hyjax.core.schedule import Schedule
 from hyjax.geometry.camera import Camera
 
 KAPPA_RANGE, MOST_STEPS = 1.5, 4.0
@@ -28,13 +28,13 @@ class Viewpoint:
 
 def scale_schedule(schedule: Schedule, steps: float, kappa: float) -> Schedule:
     """Schedule with `steps` times as many steps and `kappa` times the edge sensitivity."""
-
-    def scale_level(level: Level) -> Level:
+    levels = []
+    for level in schedule.levels:
         step_sizes = scale_step_count(np.asarray(level.step_sizes), steps)
-        return Level(level.factor, step_sizes, np.float32(np.asarray(level.kappa) * kappa), level.fidelity)
-
-    levels = tuple(scale_level(level) for level in schedule.levels)
-    return Schedule(levels, schedule.pooling, schedule.norm, schedule.name, schedule.upsampling)
+        levels.append(
+            dataclasses.replace(level, step_sizes=step_sizes, kappa=np.float32(np.asarray(level.kappa) * kappa))
+        )
+    return dataclasses.replace(schedule, levels=tuple(levels))
 
 
 def scale_step_count(step_sizes: Float[np.ndarray, "n"], times: float) -> Float[np.ndarray, "m"]:

@@ -52,21 +52,15 @@ class Visitor:
 
     def show(self, picture: bytes) -> None:
         """Send a picture in the place of any that has not been sent yet."""
-
-        def put() -> None:
-            self._picture = picture
-            self._new.set()
-
-        self._call(put)
+        self._call(self._renew, picture, {})
 
     def tell(self, **news: Any) -> None:
         """Send news; of those of one name that have not been sent yet the newest."""
+        self._call(self._renew, None, news)
 
-        def put() -> None:
-            self._told |= news
-            self._new.set()
-
-        self._call(put)
+    def _renew(self, picture: bytes | None, news: dict[str, Any]) -> None:
+        self._picture, self._told = picture or self._picture, self._told | news
+        self._new.set()
 
     def send(self, answer: Answer) -> None:
         """Send an answer that took long to make; the oldest goes where too many wait."""
@@ -78,9 +72,9 @@ class Visitor:
 
         self._call(put)
 
-    def _call(self, put: Callable[[], None]) -> None:
+    def _call(self, put: Callable[..., None], *what: Any) -> None:
         with contextlib.suppress(RuntimeError):  # the loop has ended
-            self._loop.call_soon_threadsafe(put)
+            self._loop.call_soon_threadsafe(put, *what)
 
     async def _take(self, text: str | bytes) -> Answer | None:
         try:

@@ -7,7 +7,6 @@ import logging
 import socket
 import threading
 from collections.abc import Awaitable, Callable
-from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from websockets.asyncio.server import ServerConnection, serve
@@ -42,43 +41,28 @@ class Wire:
         files: Callable[[str], tuple[bytes, str] | None],
         visit: Callable[[ServerConnection], Awaitable[None]],
     ) -> None:
-        check_port(host, port)
         self._host, self._files, self._visit, self._visitors = host, files, visit, 0
-        self.loop = asyncio.new_event_loop()
-        self._ended = asyncio.Event()
-        self._refused: OSError | None = None
-        started = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(port, started), name="tour's server", daemon=True)
+        self._socket, self.loop, self._ended = listen(host, port), asyncio.new_event_loop(), asyncio.Event()
+        self._thread = threading.Thread(target=self._run, name="tour's server", daemon=True)
         self._thread.start()
-        started.wait()
-        if self._refused is not None:
-            raise _no_port(host, port, self._refused)
         shown = "localhost" if host in (LOCAL, "0.0.0.0") else f"[{host}]" if ":" in host else host
-        self.url = f"http://{shown}:{self.port}"
+        self.url = f"http://{shown}:{self._socket.getsockname()[1]}"
 
     def stop(self) -> None:
         """Close all connections and end the thread."""
         self.loop.call_soon_threadsafe(self._ended.set)
         self._thread.join(5.0)
 
-    def _run(self, port: int, started: threading.Event) -> None:
-        asyncio.set_event_loop(self.loop)
-        try:
-            self.loop.run_until_complete(self._serve(port, started))
-        except OSError as error:  # another program has taken the port since it was checked
-            self._refused = error
-        finally:
-            self.loop.close()
-            started.set()
+    def _run(self) -> None:
+        with contextlib.closing(self.loop):
+            self.loop.run_until_complete(self._serve())
 
-    async def _serve(self, port: int, started: threading.Event) -> None:
+    async def _serve(self) -> None:
         quiet = logging.getLogger(f"{__name__}.websockets")
         quiet.filters = [_one_line]
-        options: dict[str, Any] = {"max_size": MOST_BYTES, "max_queue": 4}
         async with serve(
             self._connected,
-            self._host,
-            port,
+            sock=self._socket,
             process_request=self._request,
             create_connection=_Connection,
             open_timeout=FILE_SECONDS,
@@ -86,10 +70,9 @@ class Wire:
             compression=None,
             server_header=None,
             logger=quiet,
-            **options,
-        ) as server:
-            self.port = int(next(iter(server.sockets)).getsockname()[1])
-            started.set()
+            max_size=MOST_BYTES,
+            max_queue=4,
+        ):
             await self._ended.wait()
 
     async def _connected(self, connection: ServerConnection) -> None:
@@ -141,19 +124,13 @@ def _response(status: http.HTTPStatus, content: bytes, kind: str = "text/plain; 
     return Response(status.value, status.phrase, headers, content)
 
 
-def check_port(host: str, port: int) -> None:
-    """Raise `InputError` unless the port can be listened at."""
+def listen(host: str, port: int) -> socket.socket:
+    """Socket at a port; `InputError` unless the port can be listened at."""
     try:
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        with contextlib.closing(socket.socket(family)) as test:
-            test.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            test.bind((host, port))
+        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:
-        raise _no_port(host, port, error) from None
-
-
-def _no_port(host: str, port: int, error: OSError) -> InputError:
-    return InputError(f"port {port} on {host}: {error.strerror or error}; choose another --port or --host")
+        reason = str(error.strerror or error).partition(" (")[0]  # Python adds the address
+        raise InputError(f"port {port} on {host}: {reason}; choose another --port or --host") from None
 
 
 def _one_line(record: logging.LogRecord) -> bool:

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 need("tour")
 
-from hyjax.tour.placement import compass, draw_window, north_for_bearing, place_window, unit, upright
+from hyjax.light.kinds import Aperture
+from hyjax.tour.placement import compass, draw_window, north_for_bearing, place_window, unit
 from hyjax.tour.plan import Window
 from hyjax.util.errors import InputError
 
@@ -42,9 +43,8 @@ def test_a_window_on_a_crooked_wall_stands_upright() -> None:
 
 def corners_of(window: Window) -> np.ndarray:
     """Top left, top right, bottom right and bottom left, seen from inside."""
-    high = upright(np.asarray(window.normal), UP)
-    across = np.cross(high, np.asarray(window.normal))
-    x, y = 0.5 * window.width * across, 0.5 * window.height * high
+    opening = Aperture.facing(window.center, window.normal, UP, window.width, window.height)
+    x, y = np.asarray(opening.right, float), np.asarray(opening.up, float)
     return np.asarray(window.center) + np.stack([y - x, y + x, x - y, -x - y])
 
 
@@ -104,5 +104,5 @@ def test_what_is_no_window_is_refused() -> None:
 @given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1))
 def test_upright_is_across_and_nearest_to_up(vector: tuple[float, float, float]) -> None:
     normal = unit(vector)
-    high = upright(normal, UP)
-    assert np.linalg.norm(high) == pytest.approx(1) and abs(high @ normal) < 1e-9 and high @ UP > -1e-9
+    high = np.asarray(Aperture.facing(np.zeros(3), normal, UP, 2.0, 2.0).up, float)
+    assert np.linalg.norm(high) == pytest.approx(1) and abs(high @ normal) < 1e-6 and high @ UP > -1e-6

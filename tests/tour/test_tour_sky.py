@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 need("tour")
 
 from hyjax.tour.sky import FULL_MOON_LUX, Weather, sky_at
-from hyjax.util.errors import InputError
 
 SUMMER, WINTER, SPRING = (datetime.date(2026, *day) for day in ((6, 21), (12, 21), (3, 20)))
 
@@ -65,17 +64,3 @@ def test_light_fades_without_a_jump() -> None:
 def test_clouds_take_the_sun_and_some_of_the_light() -> None:
     clear, cloudy = (sky_at(SUMMER, 12.0, 48.0, weather) for weather in ("clear", "cloudy"))
     assert 80_000 < clear.ground < 130_000 and 10_000 < cloudy.ground < 25_000
-
-
-@pytest.mark.parametrize(
-    ("hour", "latitude", "weather", "word"),
-    [
-        (25.0, 0.0, "clear", "hour"),
-        (12.0, 91.0, "clear", "latitude"),
-        (float("nan"), 0.0, "clear", "hour"),
-        (1.0, 0.0, "rain", "weather"),
-    ],
-)
-def test_nonsense_is_refused(hour: float, latitude: float, weather: Weather, word: str) -> None:
-    with pytest.raises(InputError, match=word):
-        sky_at(SUMMER, hour, latitude, weather)

@@ -18,6 +18,7 @@ from PIL import Image
 from websockets.sync.client import ClientConnection, connect
 
 from hyjax.core.schedule import Schedule
+from hyjax.export.web import write_page
 from hyjax.scene.scene import Scene
 from hyjax.tour.plan import TourPlan
 from hyjax.tour.renderer import Renderer
@@ -29,7 +30,8 @@ WAIT = 60.0  # seconds
 
 def box_tour(out: Path, **options: Any) -> Tour:
     """Tour of the room of boxes, at any free port."""
-    return Tour(Renderer(Scene(BoxCapture(), box_room()), folder=out), SCHEDULES, out, port=0, **options)
+    renderer = Renderer(Scene(BoxCapture(), box_room()), folder=out)
+    return Tour(renderer, SCHEDULES, out, port=0, write_page=write_page, **options)
 
 
 @contextlib.contextmanager

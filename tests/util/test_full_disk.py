@@ -44,18 +44,13 @@ def write_plot(path: Path) -> None:
 
 def write_video(path: Path) -> None:
     need("captures")
-    import av
 
     from hyjax.data.video_frames import new_video
 
     random = np.random.default_rng(0)
-    with atomic_write(path) as temporary, new_video(temporary) as container:
-        stream = container.add_stream("mpeg4", rate=30)
-        stream.width, stream.height, stream.pix_fmt = 50, 40, "yuv420p"
+    with atomic_write(path) as temporary, new_video(temporary, (40, 50), 30) as add:
         for _ in range(4):
-            pixels = random.integers(0, 256, (40, 50, 3), dtype=np.uint8)
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
-        container.mux(stream.encode())
+            add(random.integers(0, 256, (40, 50, 3), dtype=np.uint8))
 
 
 def write_pictures(path: Path) -> None:
