@@ -11,7 +11,7 @@ need("tour")
 
 from browser import Page, until
 from common import coarse_surface
-from firefox import launched_firefox
+from firefox import launched_firefox, touch_screen
 from visits import SCHEDULES
 
 from hyjax.data.builtin_room import load_room
@@ -68,3 +68,19 @@ def test_a_lamp_is_hung_moved_and_taken_back(firefox: Any, tour: Tour) -> None:
     page.press("Start over")
     assert not page.plan["lamps"] and not page.errors
     page.page.close()
+
+
+@pytest.mark.slow
+def test_a_finger_drags_a_lamp(browser_wanted: None, tour: Tour) -> None:
+    with touch_screen() as page:
+        page.open(tour.url, **PHONE)
+        until(lambda: page.evaluate("document.body.dataset.state") == "ready")
+        page.evaluate("document.getElementById('reset').click()")
+        page.evaluate("document.getElementById('add').click()")
+        (lamp,) = until(lambda: page.evaluate("hyjax.plan()")["lamps"])
+        page.evaluate("addEventListener('pointerdown', ({ pointerType }) => { globalThis.pressed = pointerType; })")
+        until(lambda: page.evaluate("Boolean(document.querySelector('.marker:not(.handle):not([hidden])'))"))
+        page.drag(".marker:not(.handle)", -60, 20)
+        until(lambda: page.evaluate("hyjax.plan()")["lamps"][0]["position"] != lamp["position"])
+        assert page.evaluate("pressed") == "touch"
+        page.evaluate("document.getElementById('reset').click()")

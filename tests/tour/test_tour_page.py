@@ -1,7 +1,10 @@
 """The tour's page in a real browser, drawn by the server and by the visitor's own GPU."""
 
-from collections.abc import Iterator
+import functools
+import json
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,20 +17,22 @@ need("tour")
 
 from browser import Page, until
 from common import coarse_surface
+from hands import Hand
+from legible import check_focus, check_legible
 from visits import SCHEDULES
 
 from experiments.browser import SOFTWARE_GPU, browser
 from hyjax.data.builtin_room import UP, load_room
 from hyjax.data.light_file import read_lights
 from hyjax.scene.scene import Scene
-from hyjax.tour import page_files
+from hyjax.tour import page_files, wire
 from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import TourPlan
 from hyjax.tour.renderer import Renderer
 from hyjax.tour.tour import Tour
 from hyjax.tour.viewpoint import Viewpoint
 
-PHONE = {"width": 390, "height": 844}
+SCREEN, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
 OTHER_LAMPS = """async () => {
   const { RemoteEngine } = await import("./remote_engine.js");
   const connection = Object.assign(new EventTarget(), { opened: Promise.resolve(), send: () => ++number });
@@ -54,6 +59,42 @@ OTHER_LAMPS = """async () => {
   await run([2]);
   return found;
 }"""
+
+
+TOLD = """async ([told, name]) => {
+  const { openDevice } = await import("./engine.js");
+  const info = { description: name, ...told };
+  const adapter = { features: new Set(), limits: {}, info, requestDevice: async () => ({}) };
+  Object.defineProperty(navigator, "gpu", { value: { requestAdapter: async () => adapter }, configurable: true });
+  const { isSoftware } = await openDevice();
+  delete navigator.gpu;
+  return isSoftware;
+}"""
+"""Whether an adapter of a name counts as made of software."""
+FAST = "Object.defineProperty(GPUAdapterInfo.prototype, 'isFallbackAdapter', { get: () => false });"
+"""A GPU that says it is none of software."""
+BLACK = (
+    "GPUBuffer.prototype.getMappedRange = function (offset, size) { return new ArrayBuffer(size ?? this.size); };"
+)
+"""A GPU all of whose pictures are black."""
+ONCE = """
+const { requestDevice } = GPUAdapter.prototype;
+let opened = 0;
+GPUAdapter.prototype.requestDevice = function (options) {
+  if (opened++) throw new Error("no second device");
+  return requestDevice.call(this, options);
+};
+"""
+"""A GPU that is there but once."""
+TURNED = """async () => {
+  const { FlyingCamera } = await import("./camera.js");
+  const axes = { right: [1, 0, 0], down: [0, 0, -1], forward: [0, 1, 0] };
+  const camera = { ...axes, origin: [0, 0, 0], intrinsics: [9, 9, 5, 5] };
+  const flying = new FlyingCamera(camera, [0, 0, 1], [[-5, -5, -5], [5, 5, 5]]);
+  const after = (...keys) => flying.step(new Set(keys), 0.5) && [flying.camera.forward, flying.origin];
+  return [after("ShiftLeft", "ArrowRight"), after("ShiftRight", "ArrowUp"), after("ShiftLeft"), after("ArrowUp")];
+}"""
+"""Where a camera looks and is after keys."""
 
 
 @pytest.fixture(scope="module")
@@ -218,6 +259,211 @@ def test_a_phone_has_the_picture_above_the_panel(chromium: Any, tour: Tour) -> N
     assert page.page.evaluate("document.documentElement.scrollWidth") == PHONE["width"]
     page.page.locator("#downloads").scroll_into_view_if_needed()
     assert page.page.locator("#picture").bounding_box()["y"] == 0, "it stays"
+    assert not page.errors
+    page.page.close()
+
+
+def visitor(browser: Any, prepare: Callable[[Any], object] = lambda page: None, **more: Any) -> Any:
+    """A browser whose pages are prepared before they are opened."""
+
+    def new_page(**options: Any) -> Any:
+        page = browser.new_page(**options, **more)
+        prepare(page)
+        return page
+
+    return SimpleNamespace(new_page=new_page)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("size", "touch"), [(SCREEN, False), (PHONE, True)], ids=["mouse", "touch"])
+def test_everything_by_mouse_and_by_touch(
+    chromium: Any, tour: Tour, size: dict[str, int], touch: bool, tmp_path: Path
+) -> None:
+    page = Page(visitor(chromium, has_touch=touch), tour, size)
+    hand, button = Hand(page.page, touch=touch), functools.partial(page.page.get_by_role, "button", exact=True)
+    hand.press_on(button(name="Start over"))
+    first = page.settled()
+    hand.slide(page.page.locator("#daylight").get_by_label("Hour", exact=True), 0.95)
+    hand.slide(page.page.locator("#exposure"), 0.6)
+    page.page.get_by_label("Weather").select_option("cloudy")
+    plan = page.plan
+    assert plan["hour"] > 22 and 0 < plan["exposure"] < 2 and plan["weather"] == "cloudy"
+    night = page.settled()
+    assert apart(night, first) > 5
+    hand.press_on(button(name="Add a lamp"))
+    hand.press(page.place(0.5, 0.75))
+    until(lambda: page.plan["lamps"])
+    hung = page.plan["lamps"]
+    hand.drag(page.page.locator(".marker:not(.handle)"), -0.2 * size["width"] / 2)
+    until(lambda: page.plan["lamps"] != hung)
+    moved = page.plan["lamps"]
+    assert np.linalg.norm(np.subtract(moved[0]["position"], hung[0]["position"])) > 0.2
+    assert apart(page.settled(), night) > 1
+    for name, lamps in (("Undo", hung), ("Undo", []), ("Redo", hung), ("Redo", moved)):
+        hand.press_on(button(name=name))
+        assert page.plan["lamps"] == lamps
+    hand.press_on(button(name="Pick a piece"))
+    hand.press(page.place(0.9, 0.8))
+    until(lambda: page.plan["pieces"])
+    pose = page.plan["pieces"][0]["pose"]
+    hand.drag(page.page.locator(".marker.piece"), -40, 10)
+    assert page.plan["pieces"][0]["pose"] != pose
+    hand.press_on(button(name="Undo"))
+    assert page.plan["pieces"][0]["pose"] == pose
+    with page.page.expect_download() as download:
+        hand.press_on(button(name="Video"))
+    download.value.save_as(tmp_path / "relit.mp4")
+    assert (tmp_path / "relit.mp4").read_bytes()[4:8] == b"ftyp"
+    hand.press_on(button(name="Start over"))
+    assert page.settled().std() > 0.05 and not page.errors
+    page.page.close()
+
+
+@pytest.mark.slow
+def test_keys_turn_the_view_and_move_lamps_nearer(page: Page) -> None:
+    """A lamp that was pressed takes them."""
+    (right, there), (up, still), idle, (_, moved) = page.page.evaluate(TURNED)
+    assert right[0] > 0.3 and up[2] > 0.3 and there == still == [0, 0, 0] and not idle and moved[1] > 0.3
+    first = page.settled()
+    page.press("Look around")
+    for keys in (("Shift", "ArrowRight"), ("ArrowLeft",)):
+        before = page.settled()
+        for key in keys:
+            page.page.keyboard.down(key)
+        page.page.wait_for_timeout(300)
+        for key in keys:
+            page.page.keyboard.up(key)
+        assert apart(page.settled(), before) > 1, keys
+    assert "Shift and arrows" in page.page.inner_text("#hint")
+    page.press("Back to the photos")
+    np.testing.assert_array_equal(page.settled(), first)
+    page.press("Add a lamp")
+    page.page.mouse.click(*page.place(0.5, 0.75))
+    until(lambda: page.plan["lamps"])
+    marker = page.page.locator(".marker:not(.handle)")
+    page.page.evaluate("document.activeElement.blur()")
+    marker.click()
+
+    def away() -> float:
+        return float(np.linalg.norm(page.plan["lamps"][0]["position"] - page.tour.renderer.camera(0).origin))
+
+    far = [away()]
+    for key in ("PageDown", "PageUp", "PageUp"):
+        page.page.keyboard.press(key)
+        far.append(away())
+    assert far[1] < far[0] - 0.05 and far[2] == pytest.approx(far[0], abs=1e-3) and far[3] > far[2] + 0.05
+    assert "Page Up and Page Down" in marker.get_attribute("title")
+    page.press("Start over")
+
+
+@pytest.mark.slow
+def test_everything_can_be_read_has_a_name_and_shows_the_focus(page: Page) -> None:
+    page.press("Start over")
+    page.press("Add a lamp")
+    page.page.mouse.click(*page.place(0.5, 0.75))
+    until(lambda: page.plan["lamps"])
+    page.press("Pick a piece")
+    page.page.mouse.click(*page.place(0.9, 0.8))
+    until(lambda: page.plan["pieces"])
+    page.page.locator("#lights .name").click()
+    for panel in ("#diffusion", "#speed"):
+        page.page.locator(panel).evaluate("(panel) => { panel.open = true; }")
+    for opened in ("Raised", "Width"):
+        page.page.get_by_label(opened, exact=True).wait_for()
+        page.settled()
+        check_legible(page.page)
+        assert check_focus(page.page) > 40
+        page.page.locator("#windows .name").first.click()
+    assert page.page.locator("[role=img]:visible").evaluate_all("(all) => all.map(({ id }) => id)") == ["remote"]
+    for panel in ("#diffusion", "#speed"):
+        page.page.locator(panel).evaluate("(panel) => { panel.open = false; }")
+    page.press("Start over")
+
+
+@pytest.mark.slow
+def test_a_server_that_refuses_is_told_and_asked_again(
+    chromium: Any, tour: Tour, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(wire, "MOST_VISITORS", 0)
+    page = chromium.new_page()
+    page.goto(tour.url)
+    page.locator("#loading-text", has_text="has too many visitors; trying again").wait_for()
+    monkeypatch.undo()
+    page.wait_for_selector("body[data-state=ready]")
+    assert page.text_content("#loading-text") == "Preparing the picture …"
+    page.close()
+
+
+@pytest.mark.slow
+def test_what_the_browser_says_of_a_gpu_goes_before_its_name(page: Page) -> None:
+    def software(name: str, **told: bool) -> bool:
+        return bool(page.page.evaluate(TOLD, [told, name]))
+
+    assert software("SwiftShader") and software("llvmpipe") and not software("a card")
+    assert software("a card", isFallbackAdapter=True) and not software("llvmpipe", isFallbackAdapter=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [(BLACK, "even a small picture wrong"), (ONCE, "no second device"), ("", "gpu.json came cut off or changed")],
+    ids=["black", "once", "cut"],
+)
+def test_the_server_draws_where_a_gpu_fails(chromium: Any, tour: Tour, script: str, said: str) -> None:
+    told: list[str] = []
+
+    def prepare(page: Any) -> None:
+        page.add_init_script(FAST + script)
+        page.on("console", lambda message: told.append(message.text))
+        if not script:
+            page.route("**/gpu.json", lambda route: route.fulfill(body='{"programs": ['))
+
+    page = Page(visitor(chromium, prepare), tour)
+    assert any(said in text for text in told), told
+    assert "the server" in page.page.evaluate("hyjax.stats().adapter")
+    assert ("graphics failed" in page.page.text_content("#notice")) == bool(script)
+    page.press("Start over")
+    before = page.settled()
+    page.slide("#daylight", "Hour", 22)
+    assert apart(page.settled(), before) > 5 and not page.errors
+    page.press("Start over")
+    np.testing.assert_array_equal(page.settled(), before)
+    page.page.close()
+
+
+@pytest.mark.slow
+def test_news_bring_the_rooms_bounds(chromium: Any, tour: Tour) -> None:
+    """Frames that arrive make it grow; where news in between was overtaken, page.json has them."""
+    tops, sockets = [3.0], list[Any]()
+
+    def describe(route: Any) -> None:
+        described = route.fetch().json()
+        described["server"]["live"] = True
+        described["scene"]["bounds"] = [[0, 0, 0], [4, 4, tops[0]]]
+        route.fulfill(body=json.dumps(described) if tops[0] else "{")
+
+    def listen(socket: Any) -> None:
+        sockets.append(socket)
+        socket.connect_to_server()
+
+    def prepare(page: Any) -> None:
+        page.route("**/page.json", describe)
+        page.route_web_socket("**/socket", listen)
+
+    page = Page(visitor(chromium, prepare), tour)
+    top = page.page.locator("#height")
+    news: dict[str, Any] = {"frames": 3, "numbering": tour.renderer.numbering}
+    news["entries"] = page.page.evaluate("fetch('page.json').then((r) => r.json())")["frames"]
+    assert top.get_attribute("max") == "3.00"
+    sockets[0].send(json.dumps({**news, "bounds": [[0, 0, 0], [4, 4, 5]]}))
+    until(lambda: top.get_attribute("max") == "5.00")
+    tops[0], news["entries"] = 6.0, news["entries"][-1:]
+    overtaken = json.dumps({**news, "numbering": -1, "bounds": [[0, 0, 0], [4, 4, 4]]})
+    sockets[0].send(overtaken)
+    until(lambda: top.get_attribute("max") == "6.00")
+    tops[0] = 0.0
+    sockets[0].send(overtaken)
+    page.page.locator("#notice", has_text="page.json came cut off or changed").wait_for(state="attached")
     assert not page.errors
     page.page.close()
 

@@ -3,6 +3,7 @@ import { add, cross, dot, norm, scale, unit } from "./lights.js";
 
 const STEEPEST = 1.45; // radians above or below the horizon
 const SPEED = 1.4; // metres a second
+const TURN = 0.9; // radians a second
 
 /** Camera of a frame of page.json. */
 export function frameCamera({ pose, intrinsics }) {
@@ -69,14 +70,18 @@ export class FlyingCamera {
     this.origin = moved.map((v, k) => Math.max(low[k] - 2, Math.min(high[k] + 2, v)));
   }
 
-  /** Move for some seconds by the keys that are held; whether it moved. */
+  /** Move and turn for some seconds by the keys that are held; whether it did. With Shift, arrows turn. */
   step(keys, seconds) {
     const held = (...names) => Number(names.some((name) => keys.has(name)));
-    const right = held("KeyD", "ArrowRight") - held("KeyA", "ArrowLeft");
-    const forward = held("KeyW", "ArrowUp") - held("KeyS", "ArrowDown");
+    const shift = held("ShiftLeft", "ShiftRight");
+    const [across, along] = [held("ArrowRight") - held("ArrowLeft"), held("ArrowUp") - held("ArrowDown")];
+    const right = held("KeyD") - held("KeyA") + (shift ? 0 : across);
+    const forward = held("KeyW") - held("KeyS") + (shift ? 0 : along);
     const up = held("KeyE") - held("KeyQ");
-    if (!right && !forward && !up) return false;
-    const step = SPEED * seconds * (held("ShiftLeft", "ShiftRight") ? 3 : 1);
+    if (!right && !forward && !up && !across && !along) return false;
+    const [fx, fy] = this.intrinsics;
+    if (shift) this.look(-TURN * seconds * across * fx, TURN * seconds * along * fy);
+    const step = SPEED * seconds * (shift ? 3 : 1);
     this.move(step * right, step * up, step * forward);
     return true;
   }

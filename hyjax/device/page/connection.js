@@ -1,4 +1,5 @@
 // Connection to the server of a tour: questions with their answers, and pictures as they come.
+// Its events: "open"; "lost", after each try that the server refuses, too; "picture" and "news".
 
 const AGAIN = 1000; // milliseconds until the next try after the connection was lost
 
@@ -26,8 +27,8 @@ export class Connection extends EventTarget {
     });
     this.socket.addEventListener("message", ({ data }) => this.take(data));
     this.socket.addEventListener("close", () => {
-      if (this.ready) this.dispatchEvent(new Event("lost"));
       this.ready = false;
+      this.dispatchEvent(new Event("lost"));
       for (const { reject } of this.waiting.values()) reject(new Error("The connection to the server was lost."));
       this.waiting.clear();
       setTimeout(() => this.open(), AGAIN);

@@ -65,7 +65,9 @@ function connectTransport(viewer) {
     element("wipe").hidden = Boolean(viewer.flying) || viewer.stage === "photo";
     element("hint").hidden = !viewer.adding && !viewer.flying;
     const fine = matchMedia("(pointer: fine)").matches;
-    const flight = fine ? "Drag to look around; W A S D, Q E or the wheel to move" : "Drag to look around, two fingers to move";
+    const flight = fine
+      ? "Drag, or Shift and arrows, to look around; W A S D, Q E or the wheel to move"
+      : "Drag to look around, two fingers to move";
     element("hint").textContent = viewer.adding ? "Choose a place for the lamp" : flight;
     document.body.classList.toggle("adding", Boolean(viewer.adding));
     element("add").setAttribute("aria-pressed", Boolean(viewer.adding));
@@ -130,11 +132,13 @@ function connectSun(viewer) {
 }
 
 function connectAdding(viewer) {
-  const { up, bounds } = viewer.page.scene;
-  const room = Math.abs(up.reduce((sum, v, k) => sum + v * (bounds[1][k] - bounds[0][k]), 0));
+  const { up, bounds } = viewer.page.scene; // which grow with frames that arrive
+  const room = () => Math.abs(up.reduce((sum, v, k) => sum + v * (bounds[1][k] - bounds[0][k]), 0));
   const height = element("height");
-  height.max = Math.max(0.5, room).toFixed(2);
-  height.value = Math.min(1.6, 0.7 * room);
+  const setMost = () => { height.max = Math.max(0.5, room()).toFixed(2); };
+  setMost();
+  height.value = Math.min(1.6, 0.7 * room());
+  viewer.addEventListener("change", setMost);
   element("add").addEventListener("click", ({ detail }) => {
     if (!detail) { // by keyboard: in the middle of the picture
       viewer.addLamp(viewer.page.size[1] / 2, viewer.page.size[0] / 2).catch((error) => viewer.say(error.message));

@@ -1,6 +1,7 @@
 // Engine that runs a program (hyjax/device/program.py) on the browser's GPU; the twin of hyjax/device/webgpu.py.
 
 export const FORMAT = 1;
+const SOFTWARE = /swiftshader|llvmpipe|basic render/i; // names of adapters, where the browser does not say
 
 /** A device of the best adapter. Throws an Error whose message says what is missing. */
 export async function openDevice() {
@@ -19,7 +20,8 @@ export async function openDevice() {
   }
   const device = await adapter.requestDevice({ requiredFeatures: wanted, requiredLimits: limits });
   device.hyjaxName = adapterName(adapter);
-  device.isSoftware = adapter.info?.isFallbackAdapter ?? adapter.isFallbackAdapter ?? false;
+  const told = adapter.info?.isFallbackAdapter ?? adapter.isFallbackAdapter;
+  device.isSoftware = told ?? SOFTWARE.test(device.hyjaxName);
   return device;
 }
 

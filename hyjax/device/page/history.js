@@ -1,4 +1,4 @@
-// Undo and redo: what was set up, step by step. Changes that follow each other at once are one step.
+// Undo and redo: what was set up, step by step. Changes that follow each other at once are one step; so is a drag.
 import { button, made } from "./fields.js";
 
 const STEP = 350; // milliseconds of rest that end a step
@@ -57,10 +57,17 @@ export function connectHistory(viewer) {
     forth.disabled = !undone.length;
   }
 
-  viewer.addEventListener("change", () => {
+  let pressed = false;
+  const later = () => {
     clearTimeout(timer);
-    timer = setTimeout(note, STEP);
-  });
+    timer = setTimeout(() => (pressed ? later() : note()), STEP);
+  };
+  addEventListener("pointerdown", () => {
+    note(); // what was before is a step of its own
+    pressed = true;
+  }, true);
+  for (const name of ["pointerup", "pointercancel"]) addEventListener(name, () => { pressed = false; }, true);
+  viewer.addEventListener("change", later);
   addEventListener("keydown", (event) => {
     if (!(event.ctrlKey || event.metaKey) || event.altKey || event.target.matches?.(TYPED)) return;
     const key = event.key.toLowerCase();

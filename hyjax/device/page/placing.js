@@ -16,8 +16,9 @@ export async function placeAt(viewer, x, y, item) {
   const { point, normal } = found;
   const place = add(point, normal, viewer.lights.lift?.(item) ?? OFF_SURFACE);
   if (viewer.height === null) return Object.assign(place, { normal });
-  const { up } = viewer.page.scene;
-  return Object.assign(add(place, up, viewer.floor + viewer.height - dot(place, up)), { normal });
+  const { up, bounds } = viewer.page.scene;
+  const floor = dot(bounds[0].map((low, k) => (up[k] > 0 ? low : bounds[1][k])), up);
+  return Object.assign(add(place, up, floor + viewer.height - dot(place, up)), { normal });
 }
 
 /** Point of the surface in a pixel, and its normal; null where there is none. */

@@ -7,8 +7,11 @@ const SWIPE = 8; // frames that a swipe across the picture goes through
 const WHEEL = 0.0015; // metres a step of the wheel
 const PINCH = 3; // metres for fingers that part to twice their distance
 const PAN = 2.5; // metres across the picture
-const STEP = 0.1; // metres that an arrow key moves a lamp
-const ARROWS = { ArrowLeft: ["right", -STEP], ArrowRight: ["right", STEP], ArrowUp: ["down", -STEP], ArrowDown: ["down", STEP] };
+const STEP = 0.1; // metres that a key moves a lamp
+const STEPS = { // by key, along the camera's axes
+  ArrowLeft: ["right", -STEP], ArrowRight: ["right", STEP], ArrowUp: ["down", -STEP], ArrowDown: ["down", STEP],
+  PageUp: ["forward", STEP], PageDown: ["forward", -STEP],
+};
 
 export function connectPointer(viewer) {
   const over = document.getElementById("over");
@@ -142,7 +145,7 @@ export function connectPointer(viewer) {
       marker.hidden = !at || viewer.stage === "photo";
       marker.classList.toggle("off", !item.on);
       marker.classList.toggle("selected", viewer.selected === item.id);
-      marker.title = viewer.lights.name(item);
+      marker.title = `${viewer.lights.name(item)}: drag it, or move it by arrows, Page Up and Page Down`;
       marker.setAttribute("aria-label", viewer.lights.name(item));
       if (!at) continue;
       marker.style.left = `${(100 * at.x) / width}%`;
@@ -160,6 +163,7 @@ export function connectPointer(viewer) {
     marker.addEventListener("pointerdown", (event) => {
       event.preventDefault();
       marker.setPointerCapture(event.pointerId);
+      marker.focus({ preventScroll: true });
       drag = { x: event.clientX, y: event.clientY, at: null, moved: false, busy: false };
       viewer.selected = id;
       viewer.change("display");
@@ -188,10 +192,10 @@ export function connectPointer(viewer) {
       viewer.change("display");
     });
     marker.addEventListener("keydown", (event) => {
-      if (!ARROWS[event.code]) return;
+      if (!STEPS[event.code] || event.shiftKey || event.ctrlKey || event.metaKey || event.altKey) return;
       event.preventDefault();
       event.stopPropagation(); // arrows fly elsewhere
-      const [axis, metres] = ARROWS[event.code];
+      const [axis, metres] = STEPS[event.code];
       if (lamp()) viewer.moveLamp(lamp(), add(placeOf(lamp().entry), viewer.camera[axis], metres));
     });
     const end = () => { drag = null; };

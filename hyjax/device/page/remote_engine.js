@@ -91,12 +91,14 @@ export class RemoteEngine {
   leave(viewer) {
     if (!this.canvas.hidden) Object.assign(viewer.dirty, { lights: true, camera: true });
     this.canvas.hidden = true;
+    viewer.canvas.hidden = false;
   }
 
   /** Draw what a viewer shows. */
   async show(viewer) {
     viewer.dirty = { lights: false, camera: false, display: false };
     this.canvas.hidden = false;
+    viewer.canvas.hidden = true;
     const begun = performance.now();
     const rendered = this.busy;
     try {

@@ -5,8 +5,10 @@ const TYPES = { uint16: Uint16Array, uint32: Uint32Array, float32: Float32Array 
 const KEPT_BYTES = 64e6; // of decoded frames
 const LEAST_LIGHT = 0.05; // of the photos, of its mean
 
+const held = JSON.parse(document.getElementById("files")?.textContent ?? "{}"); // in a page of a single file
+
 async function read(name) {
-  const response = await fetch(name).catch(() => {
+  const response = await fetch(held[name] ?? name).catch(() => {
     throw new Error(`${name} could not be loaded: the connection or the server is gone.`);
   });
   if (!response.ok) throw new Error(`${name} is missing on this server (${response.status}).`);
@@ -15,18 +17,23 @@ async function read(name) {
 
 const isCut = (name) => new Error(`${name} came cut off or changed: load the page again, or copy its folder to the server once more.`);
 
+/** Content of a file of JSON. */
+export async function loadJson(name) {
+  const text = await (await read(name)).text().catch(() => { throw isCut(name); });
+  if (/^\s*</.test(text)) {
+    throw new Error(`This server answers with a web page where it was asked for ${name}: `
+      + "copy the exported folder to it as a whole.");
+  }
+  try {
+    return JSON.parse(text);
+  } catch {
+    throw isCut(name);
+  }
+}
+
 /** Content of page.json. */
 export async function loadPage() {
-  const text = await (await read("page.json")).text().catch(() => { throw isCut("page.json"); });
-  if (/^\s*</.test(text)) {
-    throw new Error("This server answers with a web page where it was asked for page.json: copy the exported folder to it as a whole.");
-  }
-  let page;
-  try {
-    page = JSON.parse(text);
-  } catch {
-    throw isCut("page.json");
-  }
+  const page = await loadJson("page.json");
   if (page.format !== PAGE_FORMAT) throw new Error(`page.json has format ${page.format}; these scripts read ${PAGE_FORMAT}.`);
   return page;
 }

@@ -68,6 +68,8 @@ async function recordVideo(viewer) {
     viewer.change("camera");
   }
   const stream = canvas.captureStream(0);
+  const [track] = stream.getVideoTracks();
+  const asked = track.requestFrame ? track : stream; // Firefox asks the stream
   const recorder = new MediaRecorder(stream, { mimeType: kind, videoBitsPerSecond: BITS });
   const parts = [];
   recorder.addEventListener("dataavailable", ({ data }) => parts.push(data));
@@ -76,7 +78,7 @@ async function recordVideo(viewer) {
   for (const picture of pictures) {
     context.drawImage(picture, 0, 0);
     picture.close();
-    stream.getVideoTracks()[0].requestFrame();
+    asked.requestFrame();
     await new Promise((done) => { setTimeout(done, 1e3 / RATE); });
   }
   recorder.stop();

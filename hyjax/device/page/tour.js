@@ -3,12 +3,12 @@ import { Connection } from "./connection.js";
 import { openDevice } from "./engine.js";
 import { connectHandles } from "./handles.js";
 import { RemoteEngine } from "./remote_engine.js";
-import { loadArrays } from "./scene.js";
+import { loadArrays, loadJson } from "./scene.js";
 import { connectTourPanels } from "./tour_panels.js";
 
 const FLICKER = 170; // milliseconds
 const KEEP_AFTER = 800; // milliseconds without a change after which the set-up is kept
-const SOFTWARE = /swiftshader|llvmpipe|basic render/i;
+const NO_ANSWER = "The server does not answer, or has too many visitors; trying again …";
 const SHOWN = { result: "relit" }; // stages by the server's names
 
 /** Connect a viewer to the server, choose who draws, and show the first picture. */
@@ -20,11 +20,15 @@ export async function startTour(viewer, showProgress) {
   const connection = new Connection(address);
   viewer.connection = connection;
   viewer.state = () => state(viewer);
-  const canvas = Object.assign(document.createElement("canvas"), { id: "remote", hidden: true });
+  const canvas = Object.assign(viewer.canvas.cloneNode(), { id: "remote", hidden: true }); // with its name
   viewer.canvas.after(canvas);
   viewer.remote = new RemoteEngine(connection, viewer.state, canvas, page, () => viewer.change("display"), (text) => viewer.say(text));
   connectTourPanels(viewer);
   connectHandles(viewer);
+  const told = document.getElementById("loading-text");
+  const { textContent: preparing } = told;
+  connection.addEventListener("lost", () => { told.textContent = NO_ANSWER; });
+  connection.addEventListener("open", () => { told.textContent = preparing; });
   await connection.opened;
   await followOutside(viewer);
   setInterval(() => flicker(viewer), FLICKER);
@@ -42,10 +46,11 @@ export async function startTour(viewer, showProgress) {
 
 /** Let the server draw in the place of a GPU that failed. */
 function fallBack(viewer, error) {
-  if (!viewer.device && !viewer.renderer) return false; // it does already
   console.info(error.message);
   viewer.say("This device's graphics failed; the server draws now.");
-  Object.assign(viewer, { renderer: null, device: undefined, stopped: false });
+  const { device } = viewer;
+  Object.assign(viewer, { fallBack: null, renderer: null, device: undefined, stopped: false });
+  device?.destroy(); // there is none where it could not be opened again
   viewer.change("lights", "camera", "display");
   viewer.loop();
   return true;
@@ -77,10 +82,9 @@ async function openGpu(viewer, must, showProgress) {
   const { page } = viewer;
   try {
     const device = await openDevice();
-    const software = SOFTWARE.test(device.hyjaxName);
     device.destroy();
-    if (software && !must) return false;
-    Object.assign(page, await (await fetch("gpu.json")).json());
+    if (device.isSoftware && !must) return false;
+    Object.assign(page, await loadJson("gpu.json"));
     viewer.arrays = await loadArrays(page, showProgress);
     return true;
   } catch (error) {

@@ -1,6 +1,7 @@
 // Panels of a tour: daylight, kinds of lamps, windows, furniture, diffusion, downloads, frames that arrive.
 import { box, button, choice, date, made, section, slider } from "./fields.js";
 import { anchorOf, angleOf, placePiece } from "./handles.js";
+import { loadPage } from "./scene.js";
 import { handOver } from "./take_home.js";
 
 const element = (id) => document.getElementById(id);
@@ -207,10 +208,11 @@ function diffusion(viewer) {
   return made("details", { id: "diffusion" }, made("summary", { textContent: "Diffusion" }), schedule.element, kappa.element, steps.element);
 }
 
-const FILES = { png: "Picture", exr: "Picture as EXR", lights: "Lights file", mesh: "Mesh", video: "Video" };
+const FILES = { png: "Picture", exr: "Picture as EXR", lights: "Lights file", mesh: "Mesh", page: "Page to send", video: "Video" };
 
 function downloads(viewer) {
   const fetchFile = async (task) => {
+    if (task === "page") viewer.say("A page is being made that opens by itself; furniture in it is where it was scanned.");
     if (task === "video") viewer.say(`${viewer.frames.count} frames are being relit; you can go on meanwhile.`);
     try {
       const { file, written, content } = await viewer.connection.ask(task, viewer.state());
@@ -233,14 +235,14 @@ function arriving(viewer) {
   });
   follow.show(true);
   viewer.frame = frames.count - 1;
-  const take = async ({ frames: count, entries, numbering }) => {
+  const take = async ({ frames: count, entries, numbering, bounds }) => {
     let from = count - entries.length;
-    if (from && (numbering !== page.server.numbering || from > page.frames.length)) { // news in between was overtaken
-      const fresh = await (await fetch("page.json")).json();
+    const overtaken = from && (numbering !== page.server.numbering || from > page.frames.length); // news in between
+    if (overtaken) {
+      ({ frames: entries, server: { numbering }, scene: { bounds } } = await loadPage());
       from = 0;
-      entries = fresh.frames;
-      numbering = fresh.server.numbering;
     }
+    page.scene.bounds.splice(0, 2, ...bounds); // of a camera that flies, too
     if (!from) frames.forget();
     page.frames.splice(from, page.frames.length, ...entries);
     page.server.numbering = numbering;
@@ -250,6 +252,9 @@ function arriving(viewer) {
     if (viewer.follow && !viewer.flying && !viewer.playing) viewer.frame = page.frames.length - 1;
     viewer.change("camera");
   };
-  connection.addEventListener("news", ({ detail }) => { if (detail.entries) take(detail); });
+  let taken = Promise.resolve();
+  connection.addEventListener("news", ({ detail }) => {
+    if (detail.entries) taken = taken.then(() => take(detail)).catch((error) => viewer.say(error.message));
+  });
   return section("arriving", "Live", [], follow.element);
 }

@@ -1,7 +1,6 @@
 // Viewer: what is shown, and the loop that draws it when something has changed.
 import { FlyingCamera, frameCamera, project, rayThrough } from "./camera.js";
 import { LightList } from "./light_list.js";
-import { dot } from "./lights.js";
 import { openDevice } from "./engine.js";
 import { Display, STAGES } from "./display.js";
 import { moveEntry, placeAt } from "./placing.js";
@@ -39,9 +38,6 @@ export class Viewer extends EventTarget {
     this.waiting = new Waiting();
     this.inFlight = []; // promises of pictures that are not done
     this.losses = []; // times of losses of the device
-    const { bounds, up } = page.scene;
-    const corners = bounds[0].map((low, k) => (up[k] > 0 ? low : bounds[1][k]));
-    this.floor = dot(corners, up);
   }
 
   /** Open the GPU and draw the first picture. */
