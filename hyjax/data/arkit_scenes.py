@@ -31,7 +31,7 @@ import numpy as np
 
 from hyjax.data.arkit_laser import laser_folder
 from hyjax.data.capture import CaptureFormat
-from hyjax.data.capture_files import TimedFiles, timed_files, tree_colour, tree_numbers
+from hyjax.data.capture_files import TimedFiles, intrinsics_at, timed_files, tree_colour, tree_numbers
 from hyjax.data.file_tree import FileTree
 from hyjax.data.phone_captures import PhoneScan
 from hyjax.data.recording import Z_UP, DepthAndConfidence, Recording, Shot
@@ -139,13 +139,10 @@ def read_pincam(tree: FileTree, name: str) -> Intrinsics:
     width, height, *focal_and_centre = (float(value) for value in tree_numbers(tree, name, (6,), PINCAM))
     if not (width.is_integer() and height.is_integer()):
         raise InputError(f"{tree.where(name)}: picture size {width:g}x{height:g} is not whole; need {PINCAM}")
-    try:
-        # cx, cy are taken as they are: Apple counts the principal point from the top left corner of the top left
-        # pixel (documentation of AVCameraCalibrationData.intrinsicMatrix), as we do. The loader published with the
-        # data has pixel centres at whole numbers instead; the two are half a pixel apart.
-        return Intrinsics(int(width), int(height), *focal_and_centre)
-    except InputError as error:
-        raise InputError(f"{tree.where(name)}: {error}") from error
+    # cx, cy are taken as they are: Apple counts the principal point from the top left corner of the top left
+    # pixel (documentation of AVCameraCalibrationData.intrinsicMatrix), as we do. The loader published with the
+    # data has pixel centres at whole numbers instead; the two are half a pixel apart.
+    return intrinsics_at(tree.where(name), int(width), int(height), *focal_and_centre)
 
 
 def _missing(tree: FileTree, assets: str, asset: str) -> InputError:

@@ -76,7 +76,6 @@ class RoomCapture(Capture):
 
     @functools.cached_property
     def fingerprint(self) -> str:
-        """See `Capture`."""
         poses = np.stack([camera.pose for camera in self._cameras])
         images: Any = self._images
         depth: Any = self._depth
@@ -89,12 +88,10 @@ class RoomCapture(Capture):
         return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
 
     def camera(self, index: int) -> Camera:
-        """See `Capture`."""
         return self._cameras[index]
 
     @property
     def depth_count(self) -> int:
-        """See `Capture`."""
         return len(self)
 
     def reference(self) -> "trimesh.Trimesh":
@@ -103,7 +100,6 @@ class RoomCapture(Capture):
 
     @property
     def has_reference(self) -> bool:
-        """True."""
         return True
 
     def scan_input(self) -> "tuple[RenderedDepths, ScanConfig]":
@@ -168,7 +164,7 @@ def load_room(
         width, height: of the pictures in pixels.
         cache_dir: where to keep it; None for `hyjax.util.cache.cache_folder()`.
         progress: show a bar on stderr while rendering.
-        quality: of the light, see `render_room`.
+        quality: of the light, see `hyjax.synthetic.room.photographs`.
         wait: whether to wait until it is rendered; else whoever asks for a frame waits for that one.
 
     Raises:
@@ -179,7 +175,7 @@ def load_room(
     folder = cache_folder() if cache_dir is None else Path(cache_dir)
     file = folder / f"room-v{VERSION}-seed{seed}-{n_frames}x{width}x{height}-q{quality:g}.npz"
     with _rendering:
-        kept = read_kept(file, lambda arrays: _capture(arrays, file.stem))
+        kept = read_kept(file, lambda arrays: RoomCapture(*room_parts(arrays), file.stem))
         if kept is not None:
             return kept
         if file not in _rooms or _rooms[file].is_broken_off:
@@ -199,7 +195,7 @@ class _Rendering:
         from hyjax.synthetic.room import camera_path, make_room
 
         self._room = make_room(seed)
-        cameras = camera_path(self._room, n_frames, width, height)
+        cameras = camera_path(n_frames, width, height)
         mesh = MeshArrays(np.asarray(self._room.mesh.vertices), np.asarray(self._room.mesh.faces))
         anchors = json.loads(json.dumps(self._room.anchors))
         self._frames: list[Future[_Frame]] = [Future() for _ in cameras]
@@ -231,7 +227,7 @@ class _Rendering:
                     raise CancelledError
                 self._frames[number].set_result(frame)
             images, depth = (np.stack(part) for part in zip(*(future.result() for future in self._frames)))
-            keep_arrays(self._file, _arrays(images, depth, cameras, mesh, anchors))
+            keep_arrays(self._file, room_arrays(images, depth, cameras, mesh, anchors))
         except BaseException as error:
             self.is_broken_off = True
             waited_for = [future for future in self._frames if not future.done()]
@@ -289,9 +285,10 @@ def _shipped(cameras: list[Camera], mesh: MeshArrays) -> "Iterator[_Frame]":
         yield image, depth.reshape(camera.intrinsics.shape)
 
 
-def _arrays(
+def room_arrays(
     images: np.ndarray, depth: np.ndarray, cameras: Sequence[Camera], mesh: MeshArrays, anchors: Mapping[str, Any]
-) -> Arrays:
+) -> dict[str, np.ndarray]:
+    """Arrays of a room for its file, from what `RoomCapture` takes."""
     k = cameras[0].intrinsics
     return {
         "images": images,
@@ -304,14 +301,10 @@ def _arrays(
     }
 
 
-def _capture(arrays: Arrays, key: str) -> RoomCapture:
+def room_parts(arrays: Arrays) -> tuple[np.ndarray, np.ndarray, list[Camera], MeshArrays, Mapping[str, Any]]:
+    """Parts of a room from the arrays of its file, see `room_arrays`."""
     height, width = arrays["images"].shape[1:3]
     intrinsics = Intrinsics(width, height, *(float(x) for x in arrays["intrinsics"]))
-    return RoomCapture(
-        arrays["images"],
-        arrays["depth"],
-        [Camera(intrinsics, pose) for pose in arrays["poses"]],
-        MeshArrays(arrays["vertices"], arrays["faces"]),
-        json.loads(str(arrays["anchors"])),
-        key,
-    )
+    cameras = [Camera(intrinsics, pose) for pose in arrays["poses"]]
+    mesh, anchors = MeshArrays(arrays["vertices"], arrays["faces"]), json.loads(str(arrays["anchors"]))
+    return arrays["images"], arrays["depth"], cameras, mesh, anchors

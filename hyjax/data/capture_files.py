@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from hyjax.data.file_tree import FileTree
+from hyjax.geometry.camera import Intrinsics
 from hyjax.util.errors import InputError
 from hyjax.util.images import picture_shape, read_depth, read_image, read_labels
 from hyjax.util.reading import parse_json
@@ -73,6 +74,14 @@ def tree_labels(tree: FileTree, name: str) -> UInt8[np.ndarray, "h w"]:
 def tree_json(tree: FileTree, name: str) -> Any:
     """Content of a JSON file of a tree."""
     return parse_json(tree.text(name), tree.where(name))
+
+
+def intrinsics_at(where: str, width: int, height: int, *focal_and_centre: float) -> Intrinsics:
+    """Intrinsics from fx, fy, cx, cy; an error names the file."""
+    try:
+        return Intrinsics(width, height, *map(float, focal_and_centre))
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
 
 
 def looks_whole(tree: FileTree, name: str) -> bool:

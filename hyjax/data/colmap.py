@@ -70,7 +70,7 @@ def open_colmap(tree: FileTree) -> Capture:
     assert found is not None
     folder, kind = found
     model = _read_model(tree, folder, kind)
-    top = _workspace(folder)
+    top = next((workspace for workspace in WORKSPACES if folder.startswith(workspace)), "")
     pictures = _pictures(tree, top)
     faults = Tally()
     chosen: dict[str, Any] = {}
@@ -125,11 +125,6 @@ def _model(tree: FileTree) -> tuple[str, str] | None:
             if all(f"{folder}{part}{kind}" in tree for part in PARTS):
                 return folder, kind
     return None
-
-
-def _workspace(model: str) -> str:
-    """Folder of a model's `images/`: in the workspace that the model is of, else at the top."""
-    return next((w for w in WORKSPACES if model.startswith(w)), "")
 
 
 def _read_model(tree: FileTree, folder: str, kind: str) -> Any:

@@ -117,26 +117,11 @@ def write_capture(capture: Capture, layout: Layout, out: Path, progress: bool = 
         _log.warning(
             "%s: no times were recorded; made-up ones are written, in the order of the frames", capture.name
         )
-    frames = _WholeFrames(capture, progress)
-    with new_folder(out) as folder:
-        for name in folders:
-            (folder / name).mkdir()
-        fill(capture, iter(frames), folder)
-        for name in folders:
-            if not any((folder / name).iterdir()):
-                (folder / name).rmdir()
-    return frames.count
+    count = 0
 
-
-class _WholeFrames:
-    """The frames of a capture that can be read, counted from 0; the others are a line each."""
-
-    def __init__(self, capture: Capture, progress: bool) -> None:
-        self._capture, self._progress, self.count = capture, progress, 0
-
-    def __iter__(self) -> Iterator[tuple[int, Frame]]:
-        capture = self._capture
-        for index in tqdm(range(len(capture)), "writing", unit="frame", leave=False, disable=not self._progress):
+    def frames() -> Iterator[tuple[int, Frame]]:
+        nonlocal count
+        for index in tqdm(range(len(capture)), "writing", unit="frame", leave=False, disable=not progress):
             try:
                 frame = capture[index]
             except InputError as error:
@@ -144,7 +129,16 @@ class _WholeFrames:
                     raise
                 _log.warning("%s; this frame is left out", error)
                 continue
-            self.count += 1
-            yield self.count - 1, frame
-        if not self.count:
+            count += 1
+            yield count - 1, frame
+        if not count:
             raise InputError(f"{capture.name}: none of the chosen frames can be read")
+
+    with new_folder(out) as folder:
+        for name in folders:
+            (folder / name).mkdir()
+        fill(capture, frames(), folder)
+        for name in folders:
+            if not any((folder / name).iterdir()):
+                (folder / name).rmdir()
+    return count

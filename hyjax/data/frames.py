@@ -26,17 +26,16 @@ def fit(frame: Frame, size: tuple[int, int] | None) -> Frame:
     Raises:
         InputError: a side of less than one pixel.
     """
+    depthless = dataclasses.replace(frame, depth=None, depth_intrinsics=None, confidence=None)
     if size is None or size == frame.camera.intrinsics.shape:
-        return dataclasses.replace(frame, depth=None, depth_intrinsics=None, confidence=None)
+        return depthless
     height, width = size
     if min(size) < 1:
         raise InputError(f"size: must be at least 1x1 pixels, got {width}x{height}")
     top, left, window_h, window_w = _window(frame.camera.intrinsics, size)
     linear = np.asarray(to_linear(jnp.asarray(frame.image[top : top + window_h, left : left + window_w])))
     image = np.asarray(to_display(jnp.asarray(resize(linear, height, width))))
-    camera = fit_camera(frame.camera, size)
-    depthless = dataclasses.replace(frame, depth=None, depth_intrinsics=None, confidence=None)
-    return dataclasses.replace(depthless, image=image, camera=camera)
+    return dataclasses.replace(depthless, image=image, camera=fit_camera(frame.camera, size))
 
 
 def fit_camera(camera: Camera, size: tuple[int, int] | None) -> Camera:

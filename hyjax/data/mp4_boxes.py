@@ -5,6 +5,7 @@ FFmpeg sets memory aside for each one that a table counts, whether the file has 
 Source: ISO/IEC 14496-12.
 """
 
+import re
 import struct
 from typing import BinaryIO
 
@@ -62,25 +63,17 @@ def _boxes(file: BinaryIO, size: int, where: str) -> list[bytes]:
     return found
 
 
-def _places(tables: bytes, kind: bytes) -> list[int]:
-    places, at = [], tables.find(kind)
-    while at >= 0:
-        places.append(at)
-        at = tables.find(kind, at + 1)
-    return places
-
-
 def _numbers(tables: bytes, kind: bytes, behind: int) -> list[int]:
     """The count of every table of a kind."""
-    found = [tables[at + behind : at + behind + 4] for at in _places(tables, kind)]
-    return [int.from_bytes(number, "big") for number in found]
+    places = (match.start() + behind for match in re.finditer(kind, tables))
+    return [int.from_bytes(tables[at : at + 4], "big") for at in places]
 
 
 def _totals(tables: bytes, kind: bytes) -> list[int]:
     """Samples of every table of a kind."""
     totals = []
-    for at, entries in zip(_places(tables, kind), _numbers(tables, kind, 8)):
-        content = tables[at + 12 : at + 12 + 8 * entries]
+    for match, entries in zip(re.finditer(kind, tables), _numbers(tables, kind, 8)):
+        content = tables[match.start() + 12 : match.start() + 12 + 8 * entries]
         pairs = np.frombuffer(content[: len(content) // 8 * 8], ">u4")
         totals.append(int(pairs[::2].sum(dtype=np.uint64)))
     return totals

@@ -27,6 +27,7 @@ from hyjax.data.capture import CaptureFormat
 from hyjax.data.capture_files import (
     Tally,
     by_number,
+    intrinsics_at,
     looks_whole,
     short_names,
     tree_colour,
@@ -169,10 +170,7 @@ def _intrinsics(tree: FileTree, top: Fields, entry: Fields, name: str) -> Intrin
     fy = _focal(top, entry, "y", height) if has_y else fx
     cx = _either(top, entry, "cx").number("cx", width / 2)
     cy = _either(top, entry, "cy").number("cy", height / 2)
-    try:
-        return Intrinsics(width, height, fx, fy, cx, cy)
-    except InputError as error:
-        raise InputError(f"{entry.where}: {error}") from None
+    return intrinsics_at(entry.where, width, height, fx, fy, cx, cy)
 
 
 def _focal(top: Fields, entry: Fields, axis: str, side: int) -> float:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from hyjax.data.capture_files import Tally, looks_whole, tree_depth, tree_labels, tree_shape
+from hyjax.data.capture_files import Tally, intrinsics_at, looks_whole, tree_depth, tree_labels, tree_shape
 from hyjax.data.file_tree import FileTree
 from hyjax.data.recording import Y_UP, DepthAndConfidence, Recording, Shot, from_opengl, usable_pose
 from hyjax.geometry.camera import Intrinsics
@@ -32,35 +32,12 @@ def lens_of(
     """Intrinsics of pictures of (height, width) from fx, fy, cx, cy; `shift` is added to cx and cy."""
     fx, fy, cx, cy = (float(value) for value in focal_and_centre)
     height, width = shape
-    try:
-        lens = Intrinsics(width, height, fx, fy, cx + shift, cy + shift)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
+    lens = intrinsics_at(where, width, height, fx, fy, cx + shift, cy + shift)
     if not (0 < cx < width and 0 < cy < height and 0.05 * width < fx < 100 * width):
         raise InputError(
             f"{where}: focal length {fx:g} and centre ({cx:g}, {cy:g}) do not belong to {width}x{height} pictures"
         )
     return lens
-
-
-def lidar_depth(
-    tree: FileTree, depth: str, confidence: str | None, *, levels: tuple[int, int, int] = ARKIT_LEVELS
-) -> Callable[[], DepthAndConfidence]:
-    """Reads a depth map in millimetres and its confidence map, whose `levels` become 0, 0.5 and 1."""
-
-    def read() -> DepthAndConfidence:
-        metres = tree_depth(tree, depth)
-        if confidence is None:
-            return metres, None
-        found = tree_labels(tree, confidence)
-        if found.shape != metres.shape:
-            raise InputError(
-                f"{tree.where(confidence)}: is {found.shape[1]}x{found.shape[0]} but its depth map is "
-                f"{metres.shape[1]}x{metres.shape[0]}; the two must have one size"
-            )
-        return metres, confidence_from_levels(found, levels)
-
-    return read
 
 
 def confidence_from_levels(
@@ -95,10 +72,28 @@ class PhoneScan:
     def depth(
         self, depth: str, confidence: str | None, *, levels: tuple[int, int, int] = ARKIT_LEVELS
     ) -> Callable[[], DepthAndConfidence] | None:
-        """Reads a depth map and its confidence; None if the map is not there, or damaged. See `lidar_depth`."""
-        maps = self.whole(depth, "depth maps")
+        """Reads a depth map in millimetres and its confidence map, whose `levels` become 0, 0.5 and 1.
+
+        None if the depth map is not there, or damaged.
+        """
+        tree, maps = self.tree, self.whole(depth, "depth maps")
         confidences = confidence and self.whole(confidence, "confidence maps")
-        return None if maps is None else lidar_depth(self.tree, maps, confidences, levels=levels)
+        if maps is None:
+            return None
+
+        def read() -> DepthAndConfidence:
+            metres = tree_depth(tree, maps)
+            if not confidences:
+                return metres, None
+            found = tree_labels(tree, confidences)
+            if found.shape != metres.shape:
+                raise InputError(
+                    f"{tree.where(confidences)}: is {found.shape[1]}x{found.shape[0]} but its depth map is "
+                    f"{metres.shape[1]}x{metres.shape[0]}; the two must have one size"
+                )
+            return metres, confidence_from_levels(found, levels)
+
+        return read
 
     def usable(self, reads: Iterable[Callable[[], Shot | None]]) -> list[Shot]:
         """Shots of the frames that can be used; the others are counted in `faults`.

@@ -20,6 +20,7 @@ Source: the app's author in the issues of github.com/marek-simonik/record3d (27,
 
 import functools
 import re
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ def open_record3d(tree: FileTree) -> Recording:
     if any(file.endswith(".depth") for file in depths.values()):
         _lzfse()
     poses, up = _read_poses(metadata, scan.remarks)
-    lenses = _Lenses(metadata, shape_of_pictures(tree, list(pictures.values())))
+    lens_by_number = _lenses(metadata, shape_of_pictures(tree, list(pictures.values())))
     times, rate = _read_times(metadata)
     shots = []
     for number in sorted({*pictures, *depths}):
@@ -75,7 +76,7 @@ def open_record3d(tree: FileTree) -> Recording:
         if number >= len(poses):
             scan.faults.add("frames have no pose and are left out", str(picture or depth))
             continue
-        pose, lens = poses[number], lenses.of(number)
+        pose, lens = poses[number], lens_by_number(number)
         shot = scan.shot(
             str(picture or depth),
             f"frame_{number:06d}",
@@ -125,27 +126,19 @@ def _read_times(metadata: Fields) -> tuple[list[float], float]:
     return metadata.numbers("frameTimestamps").tolist(), rate
 
 
-class _Lenses:
-    """Intrinsics of the pictures, in the size in which they are stored."""
+def _lenses(metadata: Fields, shape: tuple[int, int]) -> Callable[[int], Intrinsics]:
+    """Intrinsics by a frame's number, in the size in which pictures are stored."""
+    where, (height, width) = metadata.where, (metadata.count("h"), metadata.count("w"))
+    if abs(height * shape[1] / (width * shape[0]) - 1.0) > 0.01:
+        raise InputError(f"{where}: w and h are {width} and {height}, but pictures are {shape[1]}x{shape[0]}")
+    each = "perFrameIntrinsicCoeffs"
+    values = metadata.rows(each, 4, finite=True) if each in metadata else np.zeros((0, 4))
 
-    def __init__(self, metadata: Fields, shape: tuple[int, int]) -> None:
-        where = self._where = metadata.where
-        self._shape, self._told = shape, (metadata.count("h"), metadata.count("w"))
-        if abs(self._told[0] * shape[1] / (self._told[1] * shape[0]) - 1.0) > 0.01:
-            raise InputError(
-                f"{where}: w and h are {self._told[1]} and {self._told[0]}, but pictures are {shape[1]}x{shape[0]}"
-            )
-        coefficients = "perFrameIntrinsicCoeffs"
-        self._each = metadata.rows(coefficients, 4, finite=True) if coefficients in metadata else np.zeros((0, 4))
-        self._all = self._scaled(_of_matrix(metadata.numbers("K", 9)), "K")
+    def scaled(k: Float[np.ndarray, "4"], key: str) -> Intrinsics:
+        return lens_of((height, width), k.tolist(), f"{where}: {key}").resize(*shape)
 
-    def of(self, number: int) -> Intrinsics:
-        if number >= len(self._each):
-            return self._all
-        return self._scaled(self._each[number], f"perFrameIntrinsicCoeffs[{number}]")
-
-    def _scaled(self, values: Float[np.ndarray, "4"], key: str) -> Intrinsics:
-        return lens_of(self._told, values.tolist(), f"{self._where}: {key}").resize(*self._shape)
+    common = scaled(_of_matrix(metadata.numbers("K", 9)), "K")
+    return lambda number: scaled(values[number], f"{each}[{number}]") if number < len(values) else common
 
 
 def _of_matrix(k: Float[np.ndarray, "9"]) -> Float[np.ndarray, "4"]:

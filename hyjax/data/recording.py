@@ -220,16 +220,14 @@ def depth_reader(tree: FileTree, name: str, unit: float = 0.001) -> Callable[[],
 def from_opengl(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
     """Camera-to-world in our axes from one whose camera looks along -z with y up, as ARKit's and OpenGL's do.
 
+    It is its own inverse.
+
     Example:
         >>> import numpy as np
         >>> from_opengl(np.eye(4))[:3, 2]
         array([ 0.,  0., -1.])
     """
     return np.asarray(pose, np.float64) @ AXIS_FLIP
-
-
-to_opengl = from_opengl
-"""Its own inverse."""
 
 
 def mean_up(poses: Sequence[Float[np.ndarray, "4 4"]], where: Path | str) -> Float[np.ndarray, "3"]:

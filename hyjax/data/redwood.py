@@ -29,6 +29,7 @@ from hyjax.data.capture import CaptureFormat
 from hyjax.data.capture_files import (
     Tally,
     by_number,
+    intrinsics_at,
     looks_whole,
     short_names,
     tree_colour,
@@ -165,13 +166,9 @@ def _intrinsics(tree: FileTree, picture: str, remarks: list[str]) -> Intrinsics:
         raise InputError(
             f"{fields.where}: intrinsic_matrix: must be fx 0 0 0 fy 0 cx cy 1, got {k.T.ravel().tolist()}"
         )
-    values = (k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)
-    try:
-        if "width" in fields and "height" in fields:
-            height, width = fields.count("height"), fields.count("width")
-        return Intrinsics(width, height, *map(float, values))
-    except InputError as error:
-        raise InputError(f"{fields.where}: {error}") from None
+    if "width" in fields and "height" in fields:
+        height, width = fields.count("height"), fields.count("width")
+    return intrinsics_at(fields.where, width, height, k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)
 
 
 FORMAT = CaptureFormat("Redwood", is_redwood, open_redwood, "color/, depth/, trajectory.log or pose.txt")

@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import CaptureFormat
-from hyjax.data.capture_files import bytes_colour
+from hyjax.data.capture_files import bytes_colour, intrinsics_at
 from hyjax.data.file_tree import FileTree
 from hyjax.data.kinect import warped
 from hyjax.data.recording import Z_UP, DepthAndConfidence, Recording, Shot, mean_up, rigid
@@ -158,10 +158,7 @@ def _lens(k: Matrix, width: int, height: int, where: str) -> Intrinsics:
         raise InputError(f"{where}: pictures of {width}x{height} pixels; a side has 1 to {LARGEST_SIDE}")
     if width * height > MOST_PIXELS:
         raise InputError(f"{where}: pictures of {width}x{height} pixels; at most {MOST_PIXELS} are read")
-    try:
-        return Intrinsics(width, height, *(float(v) for v in (k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)))
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
+    return intrinsics_at(where, width, height, k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)
 
 
 def _extrinsics(matrix: Matrix, where: str) -> Matrix:

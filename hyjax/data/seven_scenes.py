@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import CaptureFormat
-from hyjax.data.capture_files import Tally, looks_whole, tree_colour, tree_numbers, tree_shape
+from hyjax.data.capture_files import Tally, intrinsics_at, looks_whole, tree_colour, tree_numbers, tree_shape
 from hyjax.data.file_tree import FileTree
 from hyjax.data.kinect import KINECT, registered
 from hyjax.data.recording import Recording, Shot, depth_reader
@@ -42,19 +42,18 @@ def open_seven_scenes(tree: FileTree) -> Recording:
     colours = _numbered_colours(tree)
     has_depth = any(_companion(name, "depth.png") in tree for name in colours.values())
     faults = Tally()
-    usable: dict[int, str] = {}
-    poses: dict[int, Float[np.ndarray, "4 4"]] = {}
+    usable: dict[int, tuple[str, Float[np.ndarray, "4 4"]]] = {}
     for number, name in colours.items():
         if not looks_whole(tree, name):
             faults.add(f"of {len(colours)} pictures are damaged and left out", name)
         elif (pose := _read_pose(tree, name, faults)) is not None:
-            usable[number], poses[number] = name, pose
+            usable[number] = name, pose
     if not usable:
         raise InputError(f"{tree.path}: none of {len(colours)} pictures can be used; {'; '.join(faults.lines())}")
     remarks: list[str] = []
-    intrinsics = read_intrinsics(tree, tree_shape(tree, next(iter(usable.values()))), remarks)
+    intrinsics = read_intrinsics(tree, tree_shape(tree, next(iter(usable.values()))[0]), remarks)
     shots = []
-    for number, name in usable.items():
+    for number, (name, pose) in usable.items():
         depth = _companion(name, "depth.png")
         if has_depth and depth not in tree:
             faults.add("pictures have no depth map", name)
@@ -62,7 +61,7 @@ def open_seven_scenes(tree: FileTree) -> Recording:
             Shot(
                 f"frame-{number:06d}",
                 number / FRAMES_PER_SECOND,
-                poses[number],
+                pose,
                 intrinsics,
                 functools.partial(tree_colour, tree, name),
                 depth_reader(tree, depth) if depth in tree else None,
@@ -82,8 +81,6 @@ def _numbered_colours(tree: FileTree) -> dict[int, str]:
             if number in found:
                 raise InputError(f"{tree.where(name)}: frame {number} is also {found[number]}; keep one of the two")
             found[number] = name
-    if not found:
-        raise InputError(f"{tree.path}: no frames; looked for frame-NNNNNN.color.jpg or .png (7-Scenes layout)")
     return dict(sorted(found.items()))
 
 
@@ -122,10 +119,7 @@ def read_intrinsics(tree: FileTree, shape: tuple[int, ...], remarks: list[str]) 
     k = tree_numbers(tree, name, (3, 3))
     if not np.allclose(k[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], (0, 0, 0, 0, 1)):
         raise InputError(f"{path}: need fx 0 cx / 0 fy cy / 0 0 1 row by row (no skew), got {k.tolist()}")
-    try:
-        intrinsics = Intrinsics(width, height, *(float(v) for v in k[[0, 1, 0, 1], [0, 1, 2, 2]]))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    intrinsics = intrinsics_at(path, width, height, *k[[0, 1, 0, 1], [0, 1, 2, 2]])
     # Intrinsics of another picture size betray themselves by their principal point.
     if not (0.25 < intrinsics.cx / width < 0.75 and 0.25 < intrinsics.cy / height < 0.75):
         raise InputError(

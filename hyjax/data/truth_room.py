@@ -1,16 +1,15 @@
 """Rooms whose true pictures under any light are known, as captures kept in the cache folder."""
 
 import functools
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 
-from hyjax.data.builtin_room import RoomCapture, scan_config
+from hyjax.data.builtin_room import RoomCapture, room_arrays, room_parts, scan_config
 from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.geometry.scan import RenderedDepths
 from hyjax.light.setup import LightSetup
 from hyjax.synthetic.truth import TruthLight, TruthRoom, lit_room
@@ -31,18 +30,13 @@ class TruthCapture(RoomCapture):
     """
 
     def __init__(self, name: str, arrays: Arrays, folder: Path, quality: float) -> None:
-        height, width = arrays["images"].shape[1:3]
-        intrinsics = Intrinsics(width, height, *(float(x) for x in arrays["intrinsics"]))
-        mesh = trimesh.Trimesh(arrays["vertices"], arrays["faces"], process=False)
-        cameras = [Camera(intrinsics, pose) for pose in arrays["poses"]]
-        super().__init__(arrays["images"], arrays["depth"], cameras, mesh, json.loads(str(arrays["anchors"])))
+        super().__init__(*room_parts(arrays))
         self.name = name
         self.exposure, self.mean_light = arrays["exposure"], arrays["mean_light"]
         self._scan_poses, self._folder, self._quality = arrays["scan_poses"], folder, quality
 
     @functools.cached_property
     def _scanned(self) -> RenderedDepths:
-        """Depth along a walk of its own."""
         focal = 525.0 * 256 / 640
         cameras = [Camera(Intrinsics(256, 192, focal, focal, 128.0, 96.0), pose) for pose in self._scan_poses]
         return RenderedDepths(self._surface.mesh, cameras)
@@ -115,16 +109,9 @@ def _photograph(room: TruthRoom, folder: Path, n_frames: int, width: int, height
     room.photo_light = light
     cameras = room.walks.photos(n_frames, width, height)
     frames = [room.photograph(light, camera, number) for number, camera in enumerate(cameras)]
-    k = cameras[0].intrinsics
-    return {
-        "images": np.stack([to_bytes(image) for image, _ in frames]),
-        "depth": np.stack([depth for _, depth in frames]),
-        "poses": np.stack([camera.pose for camera in cameras]),
+    images, depth = np.stack([to_bytes(image) for image, _ in frames]), np.stack([depth for _, depth in frames])
+    return room_arrays(images, depth, cameras, MeshArrays.of(room.mesh), room.anchors) | {
         "scan_poses": np.stack([camera.pose for camera in room.walks.scan(scan_config().frames, 256, 192)]),
-        "intrinsics": np.array([k.fx, k.fy, k.cx, k.cy]),
-        "vertices": np.asarray(room.mesh.vertices),
-        "faces": np.asarray(room.mesh.faces),
-        "anchors": np.array(json.dumps(room.anchors)),
         "exposure": room.white,
         "mean_light": room.mean_light(light, cameras),
     }

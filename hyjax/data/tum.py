@@ -19,13 +19,12 @@ of cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats.
 
 import functools
 import re
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from hyjax.data.capture import CaptureFormat
-from hyjax.data.capture_files import Tally, looks_whole, tree_colour, tree_shape
+from hyjax.data.capture_files import Tally, TimedFile, TimedFiles, looks_whole, tree_colour, tree_shape
 from hyjax.data.file_tree import FileTree
 from hyjax.data.lens import Distortion
 from hyjax.data.posed_lists import ascending, floats, table_rows
@@ -60,7 +59,7 @@ def open_tum(tree: FileTree) -> Recording:
     remarks: list[str] = []
     trajectory = _trajectory(tree, faults)
     pictures = _listed(tree, "rgb.txt", faults)
-    depths = _listed(tree, "depth.txt", faults) if "depth.txt" in tree else []
+    depths = TimedFiles(_listed(tree, "depth.txt", faults) if "depth.txt" in tree else ())
     if not pictures:
         raise InputError(f"{tree.where('rgb.txt')}: none of its pictures can be read; {'; '.join(faults.lines())}")
     covered = [picture for picture in pictures if trajectory.covers(picture.time)]
@@ -73,13 +72,11 @@ def open_tum(tree: FileTree) -> Recording:
     if uncovered := len(pictures) - len(covered):
         remarks.append(f"{uncovered} of {len(pictures)} pictures are left out, groundtruth.txt does not cover them")
     intrinsics, distortion = _camera(tree, covered[0].name, remarks)
-    times = np.array([depth.time for depth in depths])
     shots = []
     for number, picture in enumerate(pictures):
         if not trajectory.covers(picture.time):
             continue
-        place = int(np.abs(times - picture.time).argmin()) if depths else -1
-        near = depths and abs(times[place] - picture.time) <= TOLERANCE
+        depth = depths.nearest(picture.time, TOLERANCE)
         shots.append(
             Shot(
                 f"{number:06d}",
@@ -87,32 +84,25 @@ def open_tum(tree: FileTree) -> Recording:
                 trajectory.pose_at(picture.time),
                 intrinsics,
                 functools.partial(tree_colour, tree, picture.name),
-                depth_reader(tree, depths[place].name, DEPTH_UNIT) if near else None,
+                None if depth is None else depth_reader(tree, depth.name, DEPTH_UNIT),
                 distortion=distortion,
                 depth_distortion=distortion,
             )
         )
     lone = [shot.name for shot in shots if shot.depth is None]
-    if depths and lone:
+    if len(depths) and lone:
         remarks.append(f"{len(lone)} of {len(shots)} pictures have no depth map within 20 ms (first: {lone[0]})")
     up = Z_UP if _sequence(tree) else None
     return Recording(tree, shots, up=up, sensor=KINECT, faults=faults.lines(), remarks=remarks)
 
 
-class _Listed(NamedTuple):
-    """A file and its time."""
-
-    time: float
-    name: str
-
-
-def _listed(tree: FileTree, name: str, faults: Tally) -> list[_Listed]:
+def _listed(tree: FileTree, name: str, faults: Tally) -> list[TimedFile]:
     """The files that a list names and that are there, in order of time."""
     where, found = tree.where(name), []
     for row, words in enumerate(table_rows(tree, name), start=1):
         if len(words) < 2:
             raise InputError(f"{where}: row {row} is not 'timestamp file': {' '.join(words)[:60]!r}")
-        found.append(_Listed(floats(words[:1], where, row)[0], words[1].removeprefix("./")))
+        found.append(TimedFile(floats(words[:1], where, row)[0], words[1].removeprefix("./")))
     kept = ascending(np.array([entry.time for entry in found]))
     for row in sorted(set(range(len(found))) - set(kept)):
         faults.add(f"rows of {name} are left out, their time is not after the row above", f"row {row + 1}")

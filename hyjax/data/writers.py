@@ -15,7 +15,7 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from hyjax.data.capture import Capture, Frame
-from hyjax.data.recording import to_opengl
+from hyjax.data.recording import from_opengl
 from hyjax.geometry.camera import Intrinsics
 from hyjax.geometry.mesh import save_mesh
 from hyjax.util.files import write_text
@@ -69,7 +69,7 @@ def fill_nerfstudio(capture: Capture, frames: Frames, folder: Path) -> None:
         write_png(folder / picture, frame.image)
         entry: dict[str, Any] = {
             "file_path": picture,
-            "transform_matrix": to_opengl(frame.camera.pose).tolist(),
+            "transform_matrix": from_opengl(frame.camera.pose).tolist(),
         }
         entry |= {"fl_x": k.fx, "fl_y": k.fy, "cx": k.cx, "cy": k.cy, "w": k.width, "h": k.height}
         if frame.depth is not None:

@@ -69,62 +69,38 @@ class ConstantGuide:
 
 
 @dataclasses.dataclass(frozen=True)
-class SizedGuide:
-    """Guide of the frame at a given size, interpolated bilinearly.
-
-    Attributes:
-        guide: that computes the features.
-        size: least longer side of its frames, in pixels.
-    """
-
-    guide: FrameGuide
-    size: int
-
-    @property
-    def name(self) -> str:
-        """Name of the guide, with the size."""
-        return f"{self.guide.name}-{self.size}"
-
-    @property
-    def fingerprint(self) -> str:
-        """Changes with the guide's."""
-        return f"{self.guide.fingerprint}-{self.size}"
-
-    def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
-        """Features of a frame, see `FrameGuide.features`."""
-        factor = max(1, max(display.shape[:2]) // self.size)
-        return _reduced(self.guide, display, factor)
-
-
-@dataclasses.dataclass(frozen=True)
 class ReducedGuide:
-    """Guide of the frame at half its size, interpolated bilinearly: a network in a quarter of the time.
+    """Guide of a smaller frame, interpolated bilinearly: at half the size a network takes a quarter of the time.
 
     Attributes:
         guide: that computes the features.
+        size: least longer side of its frames, in pixels; None for half the frame's size.
     """
 
     guide: FrameGuide
+    size: int | None = None
 
     @property
     def name(self) -> str:
-        """Name of the guide, with `HALF_SUFFIX`."""
-        return f"{self.guide.name}{HALF_SUFFIX}"
+        """Name of the guide, with the size or `HALF_SUFFIX`."""
+        return f"{self.guide.name}{self._suffix}"
 
     @property
     def fingerprint(self) -> str:
         """Changes with the guide's."""
-        return f"{self.guide.fingerprint}{HALF_SUFFIX}"
+        return f"{self.guide.fingerprint}{self._suffix}"
+
+    @property
+    def _suffix(self) -> str:
+        return HALF_SUFFIX if self.size is None else f"-{self.size}"
 
     def features(self, display: Float[Array, "h w 3"]) -> Float[Array, "h w f"]:
         """Features of a frame, see `FrameGuide.features`."""
-        return _reduced(self.guide, display, 2)
-
-
-def _reduced(guide: FrameGuide, display: Float[Array, "h w 3"], factor: int) -> Float[Array, "h w f"]:
-    if factor == 1:
-        return guide.features(display)
-    return upsample(guide.features(downsample(display, factor)), factor, (display.shape[0], display.shape[1]))
+        factor = 2 if self.size is None else max(1, max(display.shape[:2]) // self.size)
+        if factor == 1:
+            return self.guide.features(display)
+        small = self.guide.features(downsample(display, factor))
+        return upsample(small, factor, (display.shape[0], display.shape[1]))
 
 
 @checked_arguments
@@ -133,7 +109,7 @@ def configured_guide(options: GuideOptions) -> FrameGuide:
     guide = _opened(options.name, _version(options.name))
     if options.size is None or options.name in (RGB.name, NO_GUIDE):
         return guide
-    return SizedGuide(guide, options.size)
+    return ReducedGuide(guide, options.size)
 
 
 @functools.lru_cache(maxsize=4)

@@ -165,10 +165,7 @@ def gradient_normals(
     share = part[np.arange(len(points)), along].astype(np.float32)[:, None]
     second = first.copy()
     second[np.arange(len(points)), along] += share[:, 0] > 0
-    flat, steps = distance.reshape(-1), np.array(distance.strides) // distance.itemsize
-    if not distance.flags.c_contiguous:
-        flat = np.ascontiguousarray(distance).reshape(-1)
-        steps = np.array([distance.shape[1] * distance.shape[2], distance.shape[2], 1])
+    flat, steps = distance.reshape(-1), np.array([distance.shape[1] * distance.shape[2], distance.shape[2], 1])
     ends = [_gradient(flat, end @ steps, steps) for end in (first, second)]
     return unit(ends[0] + share * (ends[1] - ends[0]), SHORTEST_LENGTH).astype(np.float32)
 
@@ -216,10 +213,6 @@ def _without_specks(
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.bincount(part[faces[:, 0]], 0.5 * np.linalg.norm(cross, axis=1), minlength=number)
-    outside = np.bincount(part, on_border(vertices, side), minlength=number) > 0
+    on_border = np.any((vertices <= 0.0) | (vertices >= side), axis=1)
+    outside = np.bincount(part, on_border, minlength=number) > 0
     return np.asarray((outside | (area >= SPECK_AREA))[part])
-
-
-def on_border(vertices: Float[np.ndarray, "n 3"], side: int) -> Bool[np.ndarray, "n"]:
-    """Whether vertices, in voxels, lie on the sides of their region."""
-    return np.any((vertices <= 0.0) | (vertices >= side), axis=1)

@@ -4,18 +4,16 @@ A message is a line of JSON, then the bytes of its parts, whose lengths the line
 message is skipped up to the next line that does, with a line on stderr.
 """
 
+import io
 import json
 import logging
 from collections.abc import Iterator
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO
 
 import numpy as np
-from jaxtyping import Float
 
 from hyjax.data.capture import Frame
-from hyjax.data.capture_files import read_colour
+from hyjax.data.capture_files import bytes_colour
 from hyjax.data.recording import rigid
 from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.util.arguments import checked_arguments
@@ -56,6 +54,7 @@ def write_live_frame(stream: BinaryIO, frame: Frame) -> None:
 
 def read_live_frames(stream: BinaryIO) -> Iterator[Frame]:
     """Frames from messages, until the stream ends; damaged ones are skipped with a line."""
+    stream = io.BufferedReader(stream) if isinstance(stream, io.RawIOBase) else stream  # which reads all bytes
     skipping = False
     while line := stream.readline(LONGEST_LINE):
         header = _header(line)
@@ -65,12 +64,13 @@ def read_live_frames(stream: BinaryIO) -> Iterator[Frame]:
             skipping = True
             continue
         skipping = False
-        parts = [_exactly(stream, header.get(key, 0)) for key in ("picture_bytes", "depth_bytes")]
-        if any(part is None for part in parts):
+        sizes = [header.get(key, 0) for key in ("picture_bytes", "depth_bytes")]
+        picture, depth = (stream.read(size) for size in sizes)
+        if [len(picture), len(depth)] != sizes:
             _log.warning("live: the stream ends within a message")
             return
         try:
-            frame = _frame(header, parts[0] or b"", parts[1] or b"")
+            frame = _frame(header, picture, depth)
         except Exception as error:  # one message, however damaged, does not end the stream
             _log.warning("live: message skipped: %s", error)
             continue
@@ -90,18 +90,6 @@ def _header(line: bytes) -> dict[str, Any] | None:
     return header if all(type(size) is int and 0 <= size <= LARGEST_PART for size in sizes) else None
 
 
-def _exactly(stream: BinaryIO, count: int) -> bytes | None:
-    """So many bytes; None if the stream ends before."""
-    parts = []
-    while count:
-        part = stream.read(count)
-        if not part:
-            return None
-        parts.append(part)
-        count -= len(part)
-    return b"".join(parts)
-
-
 def _frame(header: dict[str, Any], picture: bytes, depth: bytes) -> Frame:
     name = str(header.get("name", ""))[:80] or "unnamed"
     try:
@@ -113,7 +101,8 @@ def _frame(header: dict[str, Any], picture: bytes, depth: bytes) -> Frame:
         raise InputError(f"{name}: its first line lacks something ({type(error).__name__}: {error})") from None
     if pose is None or not np.isfinite(seconds):
         raise InputError(f"{name}: its pose or time is not valid")
-    image = _picture(picture, name)
+    suffix = ".png" if picture.startswith(b"\x89PNG") else ".jpg"
+    image = bytes_colour(picture, suffix, f"picture of {name}")
     readings = None
     if depth_lens is not None:
         if len(depth) != 2 * depth_lens.width * depth_lens.height:
@@ -121,14 +110,6 @@ def _frame(header: dict[str, Any], picture: bytes, depth: bytes) -> Frame:
         stored = np.frombuffer(depth, "<u2").reshape(depth_lens.shape)
         readings = np.where(stored == 65535, 0, stored).astype(np.float32) * np.float32(0.001)
     return Frame(name, image, Camera(lens, pose), seconds, readings, depth_lens)
-
-
-def _picture(content: bytes, name: str) -> Float[np.ndarray, "h w 3"]:
-    suffix = ".png" if content.startswith(b"\x89PNG") else ".jpg"
-    with TemporaryDirectory(prefix="hyjax-") as folder:
-        file = Path(folder) / f"picture{suffix}"
-        file.write_bytes(content)
-        return read_colour(file, f"picture of {name}")
 
 
 def _intrinsics(values: dict[str, Any]) -> Intrinsics:

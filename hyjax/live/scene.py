@@ -16,6 +16,7 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -30,16 +31,15 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import SurfaceLight
-from hyjax.light.setup import LightSetup, geometry_key
+from hyjax.light.setup import LightSetup
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
 from hyjax.live.caster import LiveCaster
 from hyjax.live.mesh import LiveMesh
 from hyjax.live.shadow import LiveShadowMaps, LiveSurface
-from hyjax.live.volume import LiveVolume, make_pool
+from hyjax.live.volume import LiveVolume
 from hyjax.scene.place import view_of
 from hyjax.scene.settings import Occluders
-from hyjax.scene.surfaces import SURFACE_ERROR
 from hyjax.util.errors import InputError
 
 VOXEL = 0.04
@@ -81,7 +81,8 @@ class LiveScene:
         self.surface: LiveSurface | None = None
         self.skipped: Counter[str] = Counter()
         self.times: dict[str, float] = {}
-        self._maps, self._pool, self._last = LiveShadowMaps(SURFACE_ERROR), make_pool(), -np.inf
+        self._maps, self._last = LiveShadowMaps(), -np.inf
+        self._pool = ThreadPoolExecutor(thread_name_prefix="live volume")
         self._revision = 0
 
     # ---- frames come in ----
@@ -200,10 +201,7 @@ class LiveScene:
         Arguments: see `Place`; the scale is relative to the scene's own.
         """
         surface, scale = self._now(), scale * SHADOW_SCALE
-        return tuple(
-            self._maps(geometry_key(light), light, surface, scale, most_views)
-            for light in LightSetup.of(lights).lights
-        )
+        return tuple(self._maps(light, surface, scale, most_views) for light in LightSetup.of(lights).lights)
 
     def surface_light(
         self, lights: LightSetup | Sequence[Light], *, shadows: bool = True, occluders: Occluders = "completed"

@@ -4,6 +4,7 @@ import dataclasses
 import threading
 from collections.abc import Hashable
 
+import cachetools
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +12,9 @@ from jaxtyping import Float
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import MapLayout
 from hyjax.light.kinds import Light
+from hyjax.light.setup import geometry_key
 from hyjax.light.shadow_map import ShadowMap
+from hyjax.scene.surfaces import SURFACE_ERROR
 
 MOST_MAPS = 24
 """Lights, at each resolution, whose maps are kept."""
@@ -33,13 +36,12 @@ class LiveSurface:
 class LiveShadowMaps:
     """Shadow maps of lights on the surface as it is when they are asked for."""
 
-    def __init__(self, slack: float | None = None) -> None:
-        self._slack = slack
-        self._kept: dict[Hashable, tuple[int, ShadowMap]] = {}
+    def __init__(self) -> None:
+        self._kept = cachetools.LRUCache[Hashable, tuple[int, ShadowMap]](MOST_MAPS)
         self._lock = threading.Lock()
 
     def __call__(
-        self, key: Hashable, light: Light, surface: LiveSurface, scale: float = 1.0, most_views: int | None = None
+        self, light: Light, surface: LiveSurface, scale: float, most_views: int | None = None
     ) -> ShadowMap | None:
         """Shadow map of a light on a surface; None if it casts no shadow.
 
@@ -51,15 +53,11 @@ class LiveShadowMaps:
             return None
         if most_views is not None:
             views = views.thinned(most_views)
-        key = key, scale, most_views
+        key = geometry_key(light), scale, most_views
         with self._lock:
-            kept = self._kept.pop(key, None)
+            kept = self._kept.get(key)
             if kept is None or kept[0] < surface.revision:
                 made = MapLayout.of(views, scale, surface.bounds).cast(surface.caster)
-                if self._slack is not None:
-                    made = dataclasses.replace(made, slack=jnp.float32(self._slack))
-                kept = surface.revision, made
-            self._kept[key] = kept  # the latest last
-            while len(self._kept) > MOST_MAPS:
-                self._kept.pop(next(iter(self._kept)))
+                kept = surface.revision, dataclasses.replace(made, slack=jnp.float32(SURFACE_ERROR))
+                self._kept[key] = kept
         return kept[1]

@@ -10,7 +10,6 @@ that new frames look through lose their confidence); Fehr et al., "TSDF-based ch
 long-term dense reconstruction and dynamic object discovery", ICRA 2017.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -140,8 +139,3 @@ class LiveVolume(Volume):
         for name in ("_sums", "_weights", "_meshed", "_touched", "_seen"):
             setattr(self, name, getattr(self, name)[slots])
         self._keys, self._slots, self.count = self._keys[left], np.arange(len(slots)), len(slots)
-
-
-def make_pool(workers: int | None = None) -> ThreadPoolExecutor:
-    """Threads for `LiveVolume.integrate`; as many as there are processors unless given."""
-    return ThreadPoolExecutor(workers, thread_name_prefix="live volume")

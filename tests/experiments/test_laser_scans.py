@@ -61,8 +61,8 @@ def test_scans_come_back_in_the_worlds_axes(tmp_path: Path, kind: Kind) -> None:
 def test_the_room_from_its_scans_against_its_mesh(tmp_path: Path) -> None:
     """The tolerances leave room for silhouettes, a disc (here 2 cm) fatter, and for edges, round by as much."""
     mesh = make_room(0).mesh
-    camera = camera_path(make_room(0), 6, 160, 120)[4]
-    stands = [stand(tuple(seen_from.origin), n) for n, seen_from in enumerate(camera_path(make_room(0), 4, 64, 64))]
+    camera = camera_path(6, 160, 120)[4]
+    stands = [stand(tuple(seen_from.origin), n) for n, seen_from in enumerate(camera_path(4, 64, 64))]
     export_laser_scans(tmp_path, mesh, stands, 300_000)
     truth = RayCaster(mesh).gbuffer(camera)
     seen = RayCaster(load_laser_scans(tmp_path, 0.02, progress=False)).gbuffer(camera)

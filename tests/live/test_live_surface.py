@@ -1,5 +1,7 @@
 """Volume that forgets, mesh in pieces, caster of pieces, and shadow maps that follow."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from boxes import frames, looking, room
@@ -12,7 +14,7 @@ from hyjax.light.kinds import Aperture, DirectionalLight, Light, PointLight, Spo
 from hyjax.live.caster import LiveCaster
 from hyjax.live.mesh import LiveMesh
 from hyjax.live.shadow import LiveShadowMaps, LiveSurface
-from hyjax.live.volume import KEPT_SHARE, UNSEEN_VALUE, LiveVolume, make_pool
+from hyjax.live.volume import KEPT_SHARE, UNSEEN_VALUE, LiveVolume
 from hyjax.util.errors import InputError
 
 VOXEL = 0.05
@@ -22,7 +24,7 @@ MIDDLE, FAR = (0.0, 0.0, 0.2), (2.2, 1.9, 0.2)
 
 def volume_of(seen: list, volume: LiveVolume | None = None, max_depth: float = 5.0) -> LiveVolume:
     volume = volume or LiveVolume(VOXEL)
-    with make_pool(2) as pool:
+    with ThreadPoolExecutor(2) as pool:
         for frame in seen:
             volume.integrate(frame.depth, frame.camera, max_depth, pool)
     return volume
@@ -173,12 +175,12 @@ def test_shadow_maps_follow_the_surface(before: list, after: list, name: str) ->
     mesh.renew()
     second = LiveSurface(LiveCaster(mesh.pieces), 2, mesh.whole().bounds)
     maps = LiveShadowMaps()
-    old, new = (maps(name, light, surface, scale) for surface in (first, second))
+    old, new = (maps(light, surface, scale) for surface in (first, second))
     assert old is not None and new is not None
     for surface, made in ((first, old), (second, new)):
         (usual,) = cast_shadow_maps(surface.caster, [light], scale)
         assert usual is not None
         np.testing.assert_array_equal(made.depth, usual.depth)
     assert np.mean(np.asarray(old.depth) != np.asarray(new.depth)) > 0.001
-    assert maps(name, light, second, scale) is new
-    assert maps(name, light, first, scale) is new, "of a picture that was begun before"
+    assert maps(light, second, scale) is new
+    assert maps(light, first, scale) is new, "of a picture that was begun before"

@@ -114,7 +114,7 @@ def test_pieces_keep_within_their_boxes(name: str, small_bank: Bank) -> None:
         build = RoomBuilder(rng, Looks(small_bank))
         piece: Furnishing = MAKERS[name](rng)
         tops = piece.add(build)
-        made = build.furnished()
+        made = build.finish()
         corners = made.mesh.vertices[made.mesh.faces].reshape(-1, 3)
         low, high = corners.min(axis=0), corners.max(axis=0)
         half = np.array([piece.wide, piece.deep]) / 2

@@ -9,11 +9,11 @@ from hyjax.data.truth_room import load_truth_room
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Aperture, DirectionalLight, PointLight, RectLight, SkyLight
 from hyjax.light.setup import LightSetup
-from hyjax.synthetic.room import camera_path, make_room, render_room
+from hyjax.synthetic.room import camera_path, make_room, photographs
 from hyjax.synthetic.shapes import panel
 from hyjax.synthetic.surface import Builder, Surface
 from hyjax.synthetic.truth import DEVELOPMENT_ROOMS, TEST_ROOMS, TruthRoom, lit_builtin_room, lit_room
-from hyjax.synthetic.truth.room import source_key
+from hyjax.synthetic.truth.room import source_key, truth_exposure
 from hyjax.synthetic.truth.source import Daylight, direct, unshadowed
 from hyjax.synthetic.truth.transport import TexelTransport
 from hyjax.util.errors import InputError
@@ -38,8 +38,8 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
 
 def test_the_photo_comes_back(builtin: TruthRoom) -> None:
     room = make_room(0)
-    camera = camera_path(room, 24, 160, 120)[12]
-    photo, depth = render_room(room, [camera], LOW)[0]
+    camera = camera_path(24, 160, 120)[12]
+    photo, depth = next(photographs(room, [camera], LOW))
     again, same_depth = builtin.photograph(builtin.photo_light, camera, 0)
     assert psnr(photo, again) > 50
     np.testing.assert_array_equal(depth, same_depth)
@@ -71,7 +71,7 @@ def test_random_room_photographs(random: TruthRoom) -> None:
     assert {"window_0", "lamp_0"} <= set(random.anchors)
     # light of R lux stands for the photos' mean light
     mean = random.mean_light(random.photo_light, [camera])
-    np.testing.assert_allclose(random.exposure(mean, np.pi) / random.white, mean, rtol=1e-5)
+    np.testing.assert_allclose(truth_exposure(random.white, mean, np.pi) / random.white, mean, rtol=1e-5)
 
 
 def closed_box() -> tuple[Surface, RayCaster]:

@@ -56,7 +56,7 @@ def photograph(lit: LitRoom, view: int, size: int) -> RenderedView:
 def _make(key: tuple[int, ...], patterns: Bank) -> LitRoom:
     room = furnish(np.random.default_rng(key), patterns)
     lighting = draw_lighting(room, np.random.default_rng((*key, 1)))
-    return LitRoom(key, room, RayCaster(room.furnished.mesh), lighting)
+    return LitRoom(key, room, RayCaster(room.surface.mesh), lighting)
 
 
 def _draw_bank(seed: int) -> Bank:

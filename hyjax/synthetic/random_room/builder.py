@@ -1,16 +1,15 @@
 """Builder of a random room's triangles, each with a look of its own."""
 
 import contextlib
-import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
 import trimesh
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from hyjax.synthetic.random_room.looks import Looks
 from hyjax.synthetic.room import materials as m
-from hyjax.synthetic.surface import DEGENERATE_AREA, WHITE, Builder, Color, Quads, Surface
+from hyjax.synthetic.surface import DEGENERATE_AREA, Builder, Color, Quads, Surface
 from hyjax.util.vectors import SHORTEST_LENGTH, unit
 
 ROLES = {
@@ -19,22 +18,6 @@ ROLES = {
     m.WEAVE: "cloth", m.PAGES: "paper",
 }  # fmt: skip
 """Roles of looks that replace the built-in room's materials, by material."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Furnished:
-    """A room's triangles.
-
-    Attributes:
-        mesh: metres, z up; vertices are split at hard edges.
-        look: row of the table of looks, for each face.
-        uv: texture coordinates of each face's corners in metres.
-    """
-
-    mesh: trimesh.Trimesh
-    look: Int[np.ndarray, "f"]
-    uv: Float[np.ndarray, "f 3 2"]
-    looks: Looks
 
 
 class RoomBuilder(Builder):
@@ -78,7 +61,7 @@ class RoomBuilder(Builder):
     def _add_triangles(self, points: Float[np.ndarray, "n 3"], quads: Quads, material: int, tint: Color) -> None:
         look = material
         if self._dressing is not None:
-            key = (material, tint if tint != WHITE else WHITE)
+            key = (material, tint)
             if key not in self._dressing:
                 self._dressing[key] = self.draw(ROLES[material], 1.0 if material == m.PICTURE else None)
             look = self._dressing[key]
@@ -89,16 +72,6 @@ class RoomBuilder(Builder):
             lists["material"].append(np.full(len(quads.points), look))
             lists["chart"].append(quads.chart)
         lists["st"].append(quads.st)
-
-    def furnished(self) -> Furnished:
-        """Triangles of everything added so far."""
-        mesh, real = self._mesh()
-        return Furnished(
-            mesh,
-            np.concatenate(self._lists["material"])[real],
-            np.concatenate(self._lists["uv"])[real].astype(np.float32),
-            self.looks,
-        )
 
     def finish(self) -> Surface:
         """Surface of everything added so far with its charts for light maps; a look stands for a material."""

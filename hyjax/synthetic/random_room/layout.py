@@ -8,11 +8,12 @@ from jaxtyping import Float
 
 from hyjax.synthetic.random_room import pieces, things
 from hyjax.synthetic.random_room.bank import Bank
-from hyjax.synthetic.random_room.builder import Furnished, RoomBuilder
+from hyjax.synthetic.random_room.builder import RoomBuilder
 from hyjax.synthetic.random_room.fittings import RoomWindow, add_door, add_hanging, add_pendant, add_window
 from hyjax.synthetic.random_room.looks import Looks
 from hyjax.synthetic.random_room.plan import FloorPlan, Furnishing, Top, draw
 from hyjax.synthetic.shapes import box, panel
+from hyjax.synthetic.surface import Surface
 
 OVERLAP = 0.006
 """Overlap of walls, floor and ceiling in metres, so that no ray slips out where they meet."""
@@ -23,13 +24,15 @@ class RandomRoom:
     """Random room: metres, z up, one corner of the floor at the origin.
 
     Attributes:
-        furnished: its triangles and looks.
+        surface: its triangles, whose materials are looks; vertices are split at hard edges.
+        looks: of its triangles.
         size: inner width (x), depth (y) and height (z).
         windows: openings to the sky.
         targets: (point, size) of objects worth a picture.
     """
 
-    furnished: Furnished
+    surface: Surface
+    looks: Looks
     size: Float[np.ndarray, "3"]
     windows: list[RoomWindow]
     targets: list[tuple[np.ndarray, float]]
@@ -38,7 +41,7 @@ class RandomRoom:
 def furnish(rng: np.random.Generator, patterns: Bank) -> RandomRoom:
     """Furnish a room in looks of a bank."""
     build, size, windows = plan(rng, patterns)
-    return RandomRoom(build.furnished(), size, windows, build.targets)
+    return RandomRoom(build.finish(), build.looks, size, windows, build.targets)
 
 
 def plan(rng: np.random.Generator, patterns: Bank) -> tuple[RoomBuilder, Float[np.ndarray, "3"], list[RoomWindow]]:

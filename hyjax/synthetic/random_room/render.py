@@ -95,8 +95,8 @@ def _light(
     h, w = shape
     every = np.arange(h * w).reshape(shape)[::STEP, ::STEP]
     coarse = _take(points, every.ravel())
-    furnished = room.furnished
-    soft = lights.soft_light(lighting, caster, furnished.looks, furnished.look, coarse, every.shape, rng.random())
+    surface, looks = room.surface, room.looks
+    soft = lights.soft_light(lighting, caster, looks, surface.material, coarse, every.shape, rng.random())
     for lamp in lighting.lamps:
         if lamp.radius > 0:
             soft += lights.hard_light(lamp, caster, coarse, rng)[0]
@@ -104,7 +104,7 @@ def _light(
     lamps = [lamp for lamp in lighting.lamps if lamp.radius == 0]
     if rng.random() < 0.15:
         lamps.append(lights.flash(camera.origin, rng))
-    gloss, exponent = furnished.looks.gloss(rows(furnished.look, hits.face))
+    gloss, exponent = looks.gloss(rows(surface.material, hits.face))
     shiny = np.flatnonzero((gloss > 0) & hits.hit)
     highlight = np.zeros_like(points.position)
     view = -rays[shiny] / np.linalg.norm(rays[shiny], axis=1, keepdims=True)
@@ -146,12 +146,12 @@ def _radiance(
     pixel: float,
 ) -> Float[np.ndarray, "n 3"]:
     """Radiance: albedo × light."""
-    furnished = room.furnished
+    surface, looks = room.surface, room.looks
     face = hits.face
     cosine = np.abs(dot(points.normal, rays)) / np.sqrt(dot(rays, rays))
     width = (pixel * points.depth / np.sqrt(np.maximum(cosine, 0.02))).astype(np.float32)
-    uv = np.einsum("nk,nkc->nc", hits.barycentric.astype(np.float32), rows(furnished.uv, face))
-    return furnished.looks.albedo(rows(furnished.look, face), uv, 0.7 * width) * irradiance
+    uv = np.einsum("nk,nkc->nc", hits.barycentric.astype(np.float32), rows(surface.uv, face))
+    return looks.albedo(rows(surface.material, face), uv, 0.7 * width) * irradiance
 
 
 def _outside(rays: np.ndarray, sky: np.ndarray, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
@@ -166,8 +166,8 @@ def _mirror(
     room: RandomRoom, caster: RayCaster, lighting: Lighting, hits: Hits, rays: np.ndarray, points: Points
 ) -> Float[np.ndarray, "n 3"]:
     """Reflections in glossy things, in open light; blurred, as on most surfaces."""
-    furnished = room.furnished
-    gloss, _ = furnished.looks.gloss(rows(furnished.look, hits.face))
+    surface, looks = room.surface, room.looks
+    gloss, _ = looks.gloss(rows(surface.material, hits.face))
     some = np.flatnonzero((gloss > 0.05) & hits.hit)
     out = np.zeros_like(points.position)
     if not some.size:
@@ -177,9 +177,9 @@ def _mirror(
     cosine = np.clip(-dot(way, normal), 0, 1)
     way = way + 2 * cosine[:, None] * normal
     mirrored = caster.cast(points.position[some] + lights.OFFSET * normal, way)
-    uv = np.einsum("nk,nkc->nc", mirrored.barycentric.astype(np.float32), rows(furnished.uv, mirrored.face))
+    uv = np.einsum("nk,nkc->nc", mirrored.barycentric.astype(np.float32), rows(surface.uv, mirrored.face))
     far = np.minimum(np.where(mirrored.hit, mirrored.distance, 5), 5).astype(np.float32)
-    albedo = furnished.looks.albedo(rows(furnished.look, mirrored.face), uv, 0.01 + 0.02 * far)
+    albedo = looks.albedo(rows(surface.material, mirrored.face), uv, 0.01 + 0.02 * far)
     bright = np.mean([p.color for p in lighting.panels], axis=0).astype(np.float32)
     level = (lighting.above + 0.15 * bright).astype(np.float32)
     image = np.where(mirrored.hit[:, None], albedo * level, bright)
@@ -190,7 +190,7 @@ def _mirror(
 
 def _shared(room: RandomRoom, hits: Hits, points: Points, shape: tuple[int, int]) -> Int[np.ndarray, "h w"]:
     """Mask of pixels where looks, depth or normals change to a neighbour, which need antialiasing."""
-    look = np.where(hits.hit, rows(room.furnished.look, hits.face), -1).reshape(shape)
+    look = np.where(hits.hit, rows(room.surface.material, hits.face), -1).reshape(shape)
     depth, normal = points.depth.reshape(shape), points.normal.reshape(*shape, 3)
     edge = np.zeros(shape, dtype=bool)
     for axis in (0, 1):

@@ -1,6 +1,6 @@
 """Built-in furnished room: its exact surface, and photographs of it.
 
-`make_room` builds the geometry, `camera_path` a walk through it, and `render_room` photographs along the way.
+`make_room` builds the geometry, `camera_path` a walk through it, and `photographs` takes pictures along the way.
 The pictures come from a small renderer: daylight is baked into light maps by ray casting with several bounces,
 and every frame is then albedo × light plus mirror reflections, seen through a slightly imperfect camera.
 """
@@ -15,17 +15,17 @@ from jaxtyping import Float
 
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
-from hyjax.synthetic.room import path
 from hyjax.synthetic.room.layout import arrange
-from hyjax.synthetic.room.light import WORKERS, BakedLight, bake
+from hyjax.synthetic.room.light import WORKERS, bake
 from hyjax.synthetic.room.lightmap import Texels
 from hyjax.synthetic.room.materials import Textures
+from hyjax.synthetic.room.path import camera_path
 from hyjax.synthetic.room.render import BakedRoom, photograph, white_level
 from hyjax.synthetic.surface import Surface
 from hyjax.util.errors import InputError
 from hyjax.util.progress import StepBar
 
-__all__ = ["Room", "camera_path", "make_room", "photographs", "render_room"]
+__all__ = ["Room", "camera_path", "make_room", "photographs"]
 Irradiance = Float[np.ndarray, "t 3"]
 Keep = Callable[[Callable[[], Irradiance]], Irradiance]
 
@@ -58,30 +58,6 @@ def make_room(seed: int = 0) -> Room:
     return Room(seed, surface, anchors)
 
 
-def camera_path(room: Room, n_frames: int = 24, width: int = 640, height: int = 480) -> list[Camera]:
-    """Cameras along a hand-held way round `room`, evenly spaced, at most 62 degrees wide and 49 high."""
-    del room  # Furniture stands in the same places for every seed.
-    return path.camera_path(n_frames, width, height)
-
-
-def render_room(
-    room: Room, cameras: Sequence[Camera], quality: float = 1.0, progress: bool = False
-) -> list[tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]]:
-    """Photograph the room.
-
-    Args:
-        room: from `make_room`.
-        cameras: one for each picture.
-        quality: 1 for pictures to look at; 0.25 builds much sooner and shows it.
-        progress: show a bar on stderr.
-
-    Returns:
-        For each camera the display-encoded (sRGB) picture in 8-bit steps, float32 in [0, 1], and the exact depth in
-        metres along the camera's axis, 0 outside the window.
-    """
-    return list(photographs(room, cameras, quality, progress))
-
-
 def photographs(
     room: Room,
     cameras: Sequence[Camera],
@@ -89,11 +65,18 @@ def photographs(
     progress: bool = False,
     keep: Keep = lambda bake: bake(),
 ) -> Iterator[tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]]:
-    """Photographs one by one.
+    """Photograph the room, picture by picture.
 
     Args:
-        room, cameras, quality, progress: see `render_room`.
+        room: from `make_room`.
+        cameras: one for each picture.
+        quality: 1 for pictures to look at; 0.25 builds much sooner and shows it.
+        progress: show a bar on stderr.
         keep: returns the irradiance / π of all texels: one that was kept, or made by the function that it gets.
+
+    Returns:
+        For each camera the display-encoded (sRGB) picture in 8-bit steps, float32 in [0, 1], and the exact depth in
+        metres along the camera's axis, 0 outside the window.
     """
     if not 0.1 <= quality <= 2:
         raise InputError(f"room: quality is {quality}, must lie in [0.1, 2]")
@@ -115,7 +98,6 @@ def _bake(room: Room, quality: float, keep: Keep = lambda bake: bake()) -> Baked
     texels, side = Texels(surface, 1 / quality), max(2, round(7 * np.sqrt(quality)))
     albedo = np.zeros((len(surface.nodes), 3), np.float32)
     albedo[surface.chart] = textures.mean[surface.material] * surface.tint
-    irradiance = keep(lambda: bake(surface, caster, texels, albedo, side, room.seed))
+    light = keep(lambda: bake(surface, caster, texels, albedo, side, room.seed))
     corners = np.concatenate([surface.uv, surface.st], axis=-1)
-    light, level = BakedLight(texels, irradiance), white_level(irradiance)
-    return BakedRoom(surface, corners, caster, textures, level, room.seed, light)
+    return BakedRoom(surface, corners, caster, textures, white_level(light), room.seed, texels, light)

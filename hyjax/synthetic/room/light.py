@@ -5,8 +5,9 @@ bounces cost hardly more than one. Neighbouring texels take different, interleav
 them, which gives each texel the smoothness of sixteen times its own rays.
 """
 
-import dataclasses
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -14,7 +15,7 @@ from scipy.ndimage import correlate1d
 
 from hyjax.geometry.raycast import RayCaster
 from hyjax.synthetic.room.daylight import sky_radiance
-from hyjax.synthetic.room.lightmap import Texels, at_hits
+from hyjax.synthetic.room.lightmap import Texels, at_hits, select
 from hyjax.synthetic.room.shell import WALL_THICKNESS, WINDOW
 from hyjax.synthetic.surface import Surface, rows
 
@@ -26,24 +27,14 @@ OFFSET = 2e-3
 WORKERS = 2
 
 
-@dataclasses.dataclass(frozen=True)
-class BakedLight:
-    """Baked light in light maps.
+class Gathered(NamedTuple):
+    """Rays of some texels: origin and normal of each texel, direction of each ray, whether it hit and which texel;
+    and each texel's mean distance, and whether it is in the open."""
 
-    Attributes:
-        texels: of the light maps.
-        irradiance: irradiance / π of each texel, so that radiance is this times albedo.
-    """
-
-    texels: Texels
-    irradiance: Float[np.ndarray, "t 3"]
-
-
-@dataclasses.dataclass(frozen=True)
-class _Gathered:
-    """Result of the texels' rays: direct light, hit texels, mean distance, whether they are in the open."""
-
-    direct: Float[np.ndarray, "n 3"]
+    origin: Float[np.ndarray, "n 3"]
+    normal: Float[np.ndarray, "n 3"]
+    direction: Float[np.ndarray, "n*k 3"]
+    hit: Bool[np.ndarray, "n*k"]
     hit_texels: Int[np.ndarray, "n k"]
     distance: Float[np.ndarray, "n"]
     valid: Bool[np.ndarray, "n"]
@@ -62,36 +53,56 @@ def bake(
         side: each texel casts side² rays for bounces and as many towards the window.
         seed: of the jitter.
     """
-    step = max(1, CHUNK_RAYS // side**2)
-    chunks = [slice(a, min(a + step, len(texels))) for a in range(0, len(texels), step)]
+    lobe, square = patterns(side, seed)
+    y0, y1, z0, z1 = WINDOW
+    y, z = y0 + square[..., 0] * (y1 - y0), z0 + square[..., 1] * (z1 - z0)
+    opening = np.stack([np.full_like(y, -WALL_THICKNESS), y, z], axis=-1).astype(np.float32)
 
-    def work(k: int) -> _Gathered:
-        return _gather(surface, caster, texels, chunks[k], side, seed)
+    def work(chunk: slice) -> tuple[np.ndarray, ...]:
+        rays = gather(surface, caster, texels, chunk, lobe)
+        direct = _direct(caster, rays, opening[group(texels, chunk, 2)])
+        return direct, rays.distance, rays.valid, rays.hit_texels
 
     with ThreadPoolExecutor(WORKERS) as pool:
-        parts = list(pool.map(work, range(len(chunks))))
-        direct, distance, valid = (
-            np.concatenate([getattr(p, name) for p in parts]) for name in ("direct", "distance", "valid")
-        )
-        reflectance = np.where(valid[:, None], albedo[texels.chart], 0.0).astype(np.float32)
-        total = direct
-        for _ in range(BOUNCES):
-            # One dark row more: rays that leave, or meet a back side, point at it.
-            radiance = np.concatenate([reflectance * total, np.zeros((1, 3), np.float32)])
-            indirect = np.concatenate(list(pool.map(lambda p: mean_of(radiance, p.hit_texels), parts)))  # noqa: B023
-            total = direct + indirect
+        parts = list(pool.map(work, chunks_of(texels, side)))
+    direct, distance, valid = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    indirect = bounced(direct, texels, albedo, valid, [part[3] for part in parts])
     return smooth(texels, direct, indirect, distance, valid)
 
 
-def mean_of(values: Float[np.ndarray, "t 3"], index: Int[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
-    """Mean over k rows of the values."""
+def chunks_of(texels: Texels, side: int) -> list[slice]:
+    """Chunks of texels that cast `CHUNK_RAYS` rays each, of side² a texel."""
+    step = max(1, CHUNK_RAYS // side**2)
+    return [slice(a, min(a + step, len(texels))) for a in range(0, len(texels), step)]
+
+
+def bounced(
+    direct: Float[np.ndarray, "t 3"],
+    texels: Texels,
+    albedo: Float[np.ndarray, "c 3"],
+    valid: Bool[np.ndarray, "t"],
+    hit_texels: Sequence[Int[np.ndarray, "n k"]],
+) -> Float[np.ndarray, "t 3"]:
+    """Indirect light from direct light after `BOUNCES` bounces, see `gather`."""
+    reflectance = np.where(valid[:, None], albedo[texels.chart], 0.0).astype(np.float32)
+    total, indirect = direct, np.zeros_like(direct)
+    with ThreadPoolExecutor(WORKERS) as pool:
+        for _ in range(BOUNCES):
+            # One dark row more: rays that leave, or meet a back side, point at it.
+            radiance = np.concatenate([reflectance * total, np.zeros((1, 3), np.float32)])
+            indirect = np.concatenate(list(pool.map(lambda hit: _mean_of(radiance, hit), hit_texels)))  # noqa: B023
+            total = direct + indirect
+    return indirect
+
+
+def _mean_of(values: Float[np.ndarray, "t 3"], index: Int[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
     total = np.zeros((len(index), 3), np.float32)
     for k in range(index.shape[1]):
         total += rows(values, index[:, k])
     return total / index.shape[1]
 
 
-def strata(side: int, cell: int, rng: np.random.Generator) -> Float[np.ndarray, "g k 2"]:
+def _strata(side: int, cell: int, rng: np.random.Generator) -> Float[np.ndarray, "g k 2"]:
     """Strata: `cell`² groups of side² points in the unit square, even in each group and over all groups."""
     base = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(1, -1, 2)
     shift = np.stack(np.meshgrid(np.arange(cell), np.arange(cell)), axis=-1).reshape(-1, 1, 2)
@@ -105,44 +116,47 @@ def group(texels: Texels, chunk: slice, cell: int) -> Int[np.ndarray, "n"]:
     return order[texels.i[chunk] % cell + cell * (texels.j[chunk] % cell)]
 
 
-def _patterns(side: int, seed: int) -> tuple[Float[np.ndarray, "16 k 3"], Float[np.ndarray, "4 k 3"]]:
-    """Directions about +z for sixteen neighbouring texels, and points in the window's opening for four."""
+def patterns(side: int, seed: int) -> tuple[Float[np.ndarray, "16 k 3"], Float[np.ndarray, "4 k 2"]]:
+    """Directions about +z for sixteen neighbouring texels, and points of the unit square for four."""
     rng = np.random.default_rng((seed, 2))
-    lobe = cosine_lobe(strata(side, 4, rng))
-    y0, y1, z0, z1 = WINDOW
-    square = strata(side, 2, rng)
-    y, z = y0 + square[..., 0] * (y1 - y0), z0 + square[..., 1] * (z1 - z0)
-    return lobe.astype(np.float32), np.stack([np.full_like(y, -WALL_THICKNESS), y, z], axis=-1).astype(np.float32)
+    return _cosine_lobe(_strata(side, 4, rng)).astype(np.float32), _strata(side, 2, rng)
 
 
-def _gather(surface: Surface, caster: RayCaster, texels: Texels, chunk: slice, side: int, seed: int) -> _Gathered:
+def gather(
+    surface: Surface, caster: RayCaster, texels: Texels, chunk: slice, lobe: Float[np.ndarray, "16 k 3"]
+) -> Gathered:
+    """Cast the rays of a chunk of texels. Those that leave or meet a back side hit a texel beyond the last one."""
     normal = texels.normal[chunk]
     origin = texels.position[chunk] + OFFSET * normal
-    n, rays = len(origin), side * side
-    lobe, opening = _patterns(side, seed)
-    direction = np.matmul(lobe[group(texels, chunk, 4)], frames(normal))
-    flat = direction.reshape(-1, 3)
-    origins = np.repeat(origin, rays, axis=0)
-    hits = caster.cast(origins, flat)
-    front = np.einsum("nk,nk->n", rows(surface.mesh.face_normals, hits.face), flat) < 0
+    n, rays = len(origin), lobe.shape[1]
+    direction = np.matmul(lobe[group(texels, chunk, 4)], _frames(normal)).reshape(-1, 3)
+    hits = caster.cast(np.repeat(origin, rays, axis=0), direction)
+    front = np.einsum("nk,nk->n", rows(surface.mesh.face_normals, hits.face), direction) < 0
     hit_texels = np.full(n * rays, len(texels), np.int32)
     lit = hits.hit & front
-    chosen = dataclasses.replace(hits, distance=hits.distance[lit], face=hits.face[lit],
-                                 barycentric=hits.barycentric[lit])  # fmt: skip
+    chosen = select(hits, lit)
     hit_texels[lit] = texels.nearest(rows(surface.chart, chosen.face), at_hits(surface.st, chosen))
-    miss = ~hits.hit & (flat[:, 0] < 0)
-    escaped = np.zeros((n * rays, 3), np.float32)
-    if miss.any():
-        escaped[miss] = sky_radiance(flat[miss]) * (1 - _window_share(origins[miss], flat[miss], normal.repeat(
-            rays, axis=0)[miss]))[:, None]  # fmt: skip
     near = np.minimum(np.where(hits.hit, hits.distance, 10.0), 10.0).reshape(n, rays)
     inside = (hits.hit & ~front).reshape(n, rays).mean(axis=1)
-    direct = escaped.reshape(n, rays, 3).mean(axis=1)
-    direct += _from_window(caster, origin, normal, opening[group(texels, chunk, 2)])
-    return _Gathered(direct, hit_texels.reshape(n, rays), 1 / (1 / (near + 1e-3)).mean(axis=1), inside < 0.4)
+    distance = 1 / (1 / (near + 1e-3)).mean(axis=1)
+    return Gathered(origin, normal, direction, hits.hit, hit_texels.reshape(n, rays), distance, inside < 0.4)
 
 
-def cosine_lobe(square: Float[np.ndarray, "g k 2"]) -> Float[np.ndarray, "g k 3"]:
+def _direct(caster: RayCaster, rays: Gathered, target: Float[np.ndarray, "n k 3"]) -> Float[np.ndarray, "n 3"]:
+    """Light of the sky: by rays that leave through the window, and by points in its opening."""
+    n, count = rays.hit_texels.shape
+    miss = np.flatnonzero(~rays.hit & (rays.direction[:, 0] < 0))
+    texel, direction = miss // count, rays.direction[miss]
+    escaped = np.zeros((n * count, 3), np.float32)
+    share = _window_share(rays.origin[texel], direction, rays.normal[texel])
+    escaped[miss] = sky_radiance(direction) * (1 - share)[:, None]
+    y0, y1, z0, z1 = WINDOW
+    area, inward = (y1 - y0) * (z1 - z0), np.array([1.0, 0.0, 0.0])
+    through = from_rectangle(caster, target, inward, area, sky_radiance, rays.origin, rays.normal)
+    return escaped.reshape(n, count, 3).mean(axis=1) + through
+
+
+def _cosine_lobe(square: Float[np.ndarray, "g k 2"]) -> Float[np.ndarray, "g k 3"]:
     """Cosine-weighted directions about +z from points of the unit square (Shirley's concentric map)."""
     a, b = 2 * square[..., 0] - 1, 2 * square[..., 1] - 1
     wide = np.abs(a) > np.abs(b)
@@ -152,7 +166,7 @@ def cosine_lobe(square: Float[np.ndarray, "g k 2"]) -> Float[np.ndarray, "g k 3"
     return np.stack([r * np.cos(angle), r * np.sin(angle), np.sqrt(np.maximum(1 - r * r, 1e-6))], axis=-1)
 
 
-def frames(normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
+def _frames(normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
     """Right-handed frames with z along the normals, as rows x, y and z."""
     helper = np.where(np.abs(normal[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
     x = np.cross(helper, normal)
@@ -170,28 +184,35 @@ def _window_share(origin: np.ndarray, direction: np.ndarray, normal: np.ndarray)
     return by_window / (by_window + by_cosine)
 
 
-def _from_window(
-    caster: RayCaster, origin: np.ndarray, normal: np.ndarray, target: Float[np.ndarray, "n k 3"]
+def from_rectangle(
+    caster: RayCaster,
+    target: Float[np.ndarray, "n k 3"],
+    inward: Float[np.ndarray, "3"],
+    area: float,
+    radiance: Callable[[Float[np.ndarray, "m 3"]], Float[np.ndarray, "m 3"]],
+    origin: Float[np.ndarray, "n 3"],
+    normal: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Irradiance / π from points in the window's opening."""
-    y0, y1, z0, z1 = WINDOW
-    area = (y1 - y0) * (z1 - z0)
-    to = target - origin[:, None]
+    """Irradiance / π from points of a rectangle, without the part that cosine sampling finds better.
+
+    Args:
+        inward: unit normal of the rectangle.
+        radiance: by unit directions towards it.
+    """
+    to = (target - origin[:, None]).astype(np.float32)
     distance = np.sqrt(np.einsum("nkd,nkd->nk", to, to))
     to /= np.maximum(distance, 1e-6)[..., None]
     cosine = np.einsum("nkd,nd->nk", to, normal)
-    facing = -to[..., 0]
+    facing = -(to @ inward.astype(np.float32))
     ask = (cosine > 0) & (facing > 1e-4)
     index = np.nonzero(ask)
     direction = to[ask]
     free = ~caster.occluded(origin[index[0]], direction)
     index = (index[0][free], index[1][free])
-    direction = direction[free]
-    d, f, c = distance[index], facing[index], cosine[index]
-    by_window, by_cosine = d**2 / (f * area), c / np.pi
-    weight = (c / np.pi) / (by_window + by_cosine)
+    by_window = distance[index] ** 2 / (facing[index] * area)
+    by_cosine = cosine[index] / np.pi
     light = np.zeros((*ask.shape, 3), np.float32)
-    light[index] = sky_radiance(direction) * weight[:, None]
+    light[index] = radiance(direction[free]) * (by_cosine / (by_window + by_cosine))[:, None]
     return light.mean(axis=1)
 
 

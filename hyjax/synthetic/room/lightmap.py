@@ -1,7 +1,7 @@
 """Light maps: texels on every chart, their places in the room, and their lookup."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from hyjax.geometry.raycast import Hits
 from hyjax.synthetic.surface import Surface, rows
@@ -86,6 +86,11 @@ def _lengths(grid: Float[np.ndarray, "t s 3"]) -> tuple[float, float]:
     along_s = np.linalg.norm(np.diff(rows, axis=1), axis=-1).sum(axis=1).max()
     along_t = np.linalg.norm(np.diff(columns, axis=0), axis=-1).sum(axis=0).max()
     return float(along_s), float(along_t)
+
+
+def select(hits: Hits, chosen: Bool[np.ndarray, "n"]) -> Hits:
+    """Select some of the hits."""
+    return Hits(hits.distance[chosen], hits.face[chosen], hits.barycentric[chosen])
 
 
 def at_hits(corner_values: Float[np.ndarray, "f 3 d"], hits: Hits) -> Float[np.ndarray, "n d"]:

@@ -23,7 +23,7 @@ STATIONS = (
 )
 
 
-def camera_path(n_frames: int, width: int, height: int) -> list[Camera]:
+def camera_path(n_frames: int = 24, width: int = 640, height: int = 480) -> list[Camera]:
     """Camera path of `n_frames` poses spread evenly over the way: the centred part of 640x480, 62 degrees wide."""
     if n_frames < 1 or width < 16 or height < 16:
         raise InputError(f"room: need at least 1 frame of 16x16 pixels, got {n_frames} of {width}x{height}")

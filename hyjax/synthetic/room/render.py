@@ -11,8 +11,7 @@ from skimage.transform import resize
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import Hits, RayCaster
 from hyjax.synthetic.room.daylight import sky_radiance, view
-from hyjax.synthetic.room.light import BakedLight
-from hyjax.synthetic.room.lightmap import at_hits
+from hyjax.synthetic.room.lightmap import Texels, at_hits, select
 from hyjax.synthetic.room.materials import LEAF
 from hyjax.synthetic.surface import Surface, rows
 from hyjax.synthetic.tone_curve import encode, tone
@@ -92,14 +91,20 @@ class Lit:
 
 @dataclasses.dataclass(frozen=True)
 class BakedRoom(Lit):
-    """Built-in room by day."""
+    """Built-in room by day.
 
-    light: BakedLight
+    Attributes:
+        texels: of the light maps.
+        light: irradiance / π of each texel, so that radiance is this times albedo.
+    """
+
+    texels: Texels
+    light: Float[np.ndarray, "t 3"]
 
     def irradiance(
         self, origin: np.ndarray, rays: np.ndarray, nearest: Hits, st: np.ndarray, samples: int
     ) -> Float[np.ndarray, "n 3"]:
-        return self.light.texels.lookup(self.light.irradiance, rows(self.surface.chart, nearest.face), st)
+        return self.texels.lookup(self.light, rows(self.surface.chart, nearest.face), st)
 
     def outside(self, origin: np.ndarray, rays: np.ndarray) -> Float[np.ndarray, "n 3"]:
         return garden(self.textures, rays, LEAF) / self.exposure
@@ -169,11 +174,6 @@ def garden(textures: Paints, rays: Float[np.ndarray, "n 3"], leaf: int) -> Float
     row, width = np.full(n, leaf), np.full(n, 0.004, np.float32)
     foliage = textures(row, 0.9 * place, width) * 0.5 + textures(row, 3.7 * place, width) * 0.5
     return view(direction, foliage)
-
-
-def select(hits: Hits, chosen: Bool[np.ndarray, "n"]) -> Hits:
-    """Select some of the hits."""
-    return Hits(hits.distance[chosen], hits.face[chosen], hits.barycentric[chosen])
 
 
 def _shared_pixels(surface: Surface, hits: Hits, depth: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

@@ -4,7 +4,7 @@
     mean = room.mean_light(room.photo_light, cameras)  # K
     photo, depth = room.photograph(room.photo_light, cameras[0], 0)
     light = room.bake(setup.lights)
-    truth, _ = room.photograph(light, cameras[0], 0, room.exposure(mean, setup.reference_lux))
+    truth, _ = room.photograph(light, cameras[0], 0, truth_exposure(room.white, mean, setup.reference_lux))
     direct, bounce = room.irradiance(room.photo_light, mesh.vertices, mesh.vertex_normals)
 
 The light of every source is baked into light maps with six bounces, and what comes straight from bulbs and the sun
@@ -14,15 +14,11 @@ is traced to every pixel. The camera is the built-in room's.
 import re
 
 from hyjax.synthetic.truth.builtin import lit_builtin_room
-from hyjax.synthetic.truth.generated import RoomName, lit_random_room
+from hyjax.synthetic.truth.generated import lit_random_room
 from hyjax.synthetic.truth.room import TruthLight, TruthRoom
-from hyjax.synthetic.truth.source import Daylight, Source
 from hyjax.util.errors import InputError
 
-__all__ = [
-    "DEVELOPMENT_ROOMS", "TEST_ROOMS", "Daylight", "RoomName", "Source", "TruthLight", "TruthRoom",
-    "lit_builtin_room", "lit_random_room", "lit_room",
-]  # fmt: skip
+__all__ = ["DEVELOPMENT_ROOMS", "TEST_ROOMS", "TruthLight", "TruthRoom", "lit_builtin_room", "lit_room"]
 
 DEVELOPMENT_ROOMS: tuple[str, ...] = ("builtin-0", "random-5-6-day", "random-11-0-both", "random-23-6-lamps")
 TEST_ROOMS: tuple[str, ...] = ("builtin-3", "random-5-7-day", "random-5-2-both", "random-23-1-lamps")
@@ -41,5 +37,5 @@ def lit_room(name: str, quality: float = 1.0) -> TruthRoom:
     if match := re.fullmatch(r"builtin-(\d+)", name):
         return lit_builtin_room(int(match[1]), quality)
     if match := re.fullmatch(r"random-(\d+)-(\d+)-(day|lamps|both)", name):
-        return lit_random_room(RoomName(int(match[1]), int(match[2]), match[3]), quality)
+        return lit_random_room(int(match[1]), int(match[2]), match[3], quality)
     raise InputError(f"room: no room {name!r}; name one like builtin-0 or random-5-2-both")

@@ -17,7 +17,7 @@ BULB_RADIUS = 0.036
 
 
 def lit_builtin_room(seed: int = 0, quality: float = 1.0) -> TruthRoom:
-    """Built-in room of a seed; its photos are `render_room`'s."""
+    """Built-in room of a seed; its photos are `hyjax.synthetic.room.photographs`'."""
     room = make_room(seed)
     y0, y1, z0, z1 = WINDOW
     centre = np.array([0.0, (y0 + y1) / 2, (z0 + z1) / 2])

@@ -1,7 +1,6 @@
 """Random rooms of known truth under any light; their photos have daylight, lamps or both."""
 
 import functools
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -26,14 +25,6 @@ BALANCED_SHARE = 0.75
 SKY_LUMINANCE = (700.0, 2600.0)
 """Range of the sky's luminance in windows, in candela per square metre."""
 GLOSS_LIMIT = 0.9
-
-
-class RoomName(NamedTuple):
-    """Name of a random room: its seed, its number, and the light of its photos (`day`, `lamps` or `both`)."""
-
-    seed: int
-    number: int
-    by: str
 
 
 class LookPaints:
@@ -63,28 +54,28 @@ class LookPaints:
         return self._looks.albedo(material, uv.astype(np.float32), footprint.astype(np.float32)).astype(np.float32)
 
 
-def lit_random_room(room: RoomName, quality: float = 1.0) -> TruthRoom:
-    """Random room `number` of a seed. The first room of a seed in a process draws its patterns, too."""
-    key = (room.seed, room.number)
-    build, size, windows = plan(np.random.default_rng(key), bank_of(room.seed))
+def lit_random_room(seed: int, number: int, by: str, quality: float = 1.0) -> TruthRoom:
+    """Random room `number` of a seed. The first room of a seed in a process draws its patterns, too.
+
+    Args:
+        by: the light of its photos: `day`, `lamps` or `both`.
+    """
+    key = (seed, number)
+    build, size, windows = plan(np.random.default_rng(key), bank_of(seed))
     rng = np.random.default_rng((*key, 8))
     lights: list[Light] = []
     anchors: dict[str, dict[str, object]] = {}
     bulbs: list[Bulb] = []
-    if room.by != "day":
+    if by != "day":
         caster = RayCaster(build.finish().mesh)
         lights, anchors, bulbs = add_lamps(build, caster, size, int(rng.integers(1, 4)), rng)
     surface = build.finish()
-    openings = [
-        Opening(np.asarray(w.centre, float), np.asarray(w.right, float), np.asarray(w.up, float),
-                np.asarray(w.normal, float), REVEAL_DEPTH)
-        for w in windows
-    ]  # fmt: skip
+    openings = [Opening(w.centre, w.right, w.up, w.normal, REVEAL_DEPTH) for w in windows]
     sources: list[Source] = list(lights)
-    if room.by != "lamps":
+    if by != "lamps":
         for k in range(len(openings)):
             warm = rng.uniform(-0.08, 0.12)
-            level = rng.uniform(*SKY_LUMINANCE) * (0.5 if room.by == "both" else 1.0)
+            level = rng.uniform(*SKY_LUMINANCE) * (0.5 if by == "both" else 1.0)
             sources.append(Daylight(k, (level * (1 - warm), level, level * (1 + warm))))
     anchors |= {f"window_{k}": opening.anchor() for k, opening in enumerate(openings)}
     anchors["bounds"] = {"low": [0.0, 0.0, 0.0], "high": [float(x) for x in size]}
@@ -92,7 +83,7 @@ def lit_random_room(room: RoomName, quality: float = 1.0) -> TruthRoom:
     caster = RayCaster(surface.mesh)
     photos, scan = (functools.partial(walk, caster, size, (*key, k), f) for k, f in ((0, FIELD_DEGREES), (1, 62.7)))
     return TruthRoom(
-        f"random-{room.seed}-{room.number}-{room.by}",
+        f"random-{seed}-{number}-{by}",
         surface,
         paints,
         openings,
@@ -101,7 +92,7 @@ def lit_random_room(room: RoomName, quality: float = 1.0) -> TruthRoom:
         anchors,
         Walks(photos, scan),
         quality,
-        room.seed * 1000 + room.number,
+        seed * 1000 + number,
         paints.leaf,
         _level,
     )

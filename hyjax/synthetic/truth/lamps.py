@@ -65,7 +65,6 @@ def _place(kind: str, size: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _is_free(kind: str, caster: RayCaster, place: np.ndarray, size: np.ndarray) -> bool:
-    """Whether the place of a lamp is free."""
     down, up = np.array([[0, 0, -1.0]]), np.array([[0, 0, 1.0]])
     if kind == "panel":
         corners = place + np.array([[x, y, -0.1] for x in (-0.6, 0, 0.6) for y in (-0.6, 0, 0.6)])

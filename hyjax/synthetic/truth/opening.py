@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from hyjax.geometry.raycast import RayCaster
 from hyjax.synthetic.room.daylight import sky_radiance
+from hyjax.synthetic.room.light import from_rectangle
 from hyjax.util.vectors import unit
 
 Radiance = Callable[[int, Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
@@ -116,20 +117,8 @@ def from_opening(
     """Irradiance / π from points in an opening, without the part that cosine sampling finds better."""
     place = 2 * square - 1
     target = opening.outer + place[..., :1] * opening.right + place[..., 1:] * opening.up
-    to = (target - origin[:, None]).astype(np.float32)
-    distance = np.sqrt(np.einsum("nkd,nkd->nk", to, to))
-    to /= np.maximum(distance, 1e-6)[..., None]
-    cosine = np.einsum("nkd,nd->nk", to, normal)
-    facing = -(to @ opening.normal.astype(np.float32))
-    ask = (cosine > 0) & (facing > 1e-4)
-    index = np.nonzero(ask)
-    direction = to[ask]
-    free = ~caster.occluded(origin[index[0]], direction)
-    index = (index[0][free], index[1][free])
-    direction = direction[free]
-    by_window = distance[index] ** 2 / (facing[index] * opening.area)
-    by_cosine = cosine[index] / np.pi
-    weight = by_cosine / (by_window + by_cosine)
-    light = np.zeros((*ask.shape, 3), np.float32)
-    light[index] = radiance(unit(direction).astype(np.float32)) * weight[:, None]
-    return light.mean(axis=1)
+
+    def exact(direction: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3"]:
+        return radiance(unit(direction).astype(np.float32))
+
+    return from_rectangle(caster, target, opening.normal, opening.area, exact, origin, normal)

@@ -77,12 +77,9 @@ class LitPicture(Lit):
             emitter = light.emitter()
             assert emitter is not None
             if bulb is None:
-                where, radiance = _on_panel(emitter, position, normal)
+                where, radiance = _on_panel(position, normal, emitter)
             else:
-                where, radiance = (
-                    _on_bulb(bulb, position, normal),
-                    emitter.strength / (2 * np.pi * bulb.radius) ** 2,
-                )
+                where, radiance = _on_bulb(position, normal, emitter, bulb)
             total[where] += np.asarray(light.color, np.float32) * np.float32(radiance)
         return total
 
@@ -99,23 +96,20 @@ class LitPicture(Lit):
         ]
 
     def outside(self, origin: np.ndarray, rays: np.ndarray) -> Float[np.ndarray, "n 3"]:
-        direction = unit(rays)
-        radiance = np.zeros((len(rays), 3), np.float32)
-        through = leaving(self.openings, origin, direction)
-        for k, opening in enumerate(self.openings):
-            mine = through == k
-            if mine.any():
-                radiance[mine] = garden(self.textures, opening.to_sky(direction[mine]), self.leaf) * self.panes[k]
-        return radiance
+        def view(k: int, direction: np.ndarray) -> np.ndarray:
+            return garden(self.textures, self.openings[k].to_sky(direction), self.leaf) * self.panes[k]
+
+        return self._through_openings(origin, unit(rays), view)
 
     def mirrored_outside(self, origin: np.ndarray, rays: np.ndarray) -> Float[np.ndarray, "n 3"]:
-        direction = unit(rays).astype(np.float32)
-        radiance = np.zeros((len(rays), 3), np.float32)
+        return self._through_openings(origin, unit(rays).astype(np.float32), self.sky)
+
+    def _through_openings(self, origin: np.ndarray, direction: np.ndarray, radiance: Radiance) -> np.ndarray:
+        total = np.zeros((len(direction), 3), np.float32)
         through = leaving(self.openings, origin, direction)
-        for k in range(len(self.openings)):
-            mine = through == k
-            radiance[mine] = self.sky(k, direction[mine])
-        return radiance
+        for k in np.unique(through[through >= 0]):
+            total[through == k] = radiance(k, direction[through == k])
+        return total
 
 
 def mean_garden(textures: Paints, leaf: int) -> Float[np.ndarray, "3"]:
@@ -147,7 +141,7 @@ def texel_light(texels: Texels, values: Float[np.ndarray, "t 3"], surface: Surfa
     return texels.lookup(values, rows(surface.chart, hits.face), at_hits(surface.st, hits))
 
 
-def _on_panel(emitter: Emitter, position: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, float]:
+def _on_panel(position: np.ndarray, normal: np.ndarray, emitter: Emitter) -> tuple[np.ndarray, float]:
     """Mask of places on the panel behind a rectangle light, and its radiance."""
     right, up = np.asarray(emitter.right), np.asarray(emitter.up)
     across = np.cross(right, up)
@@ -159,8 +153,9 @@ def _on_panel(emitter: Emitter, position: np.ndarray, normal: np.ndarray) -> tup
     return where, emitter.strength / (4 * float(np.linalg.norm(across)) * np.pi)
 
 
-def _on_bulb(bulb: Bulb, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Mask of places on a bulb."""
+def _on_bulb(position: np.ndarray, normal: np.ndarray, emitter: Emitter, bulb: Bulb) -> tuple[np.ndarray, float]:
+    """Mask of places on a bulb, and its radiance."""
     out = position - bulb.centre
     distance = np.linalg.norm(out, axis=1)
-    return (distance < 1.1 * bulb.radius) & (np.einsum("nk,nk->n", out, normal) > 0.7 * distance)
+    where = (distance < 1.1 * bulb.radius) & (np.einsum("nk,nk->n", out, normal) > 0.7 * distance)
+    return where, emitter.strength / (2 * np.pi * bulb.radius) ** 2

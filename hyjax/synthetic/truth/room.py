@@ -19,6 +19,7 @@ from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Light
 from hyjax.synthetic.room import render
+from hyjax.synthetic.room.lightmap import select
 from hyjax.synthetic.room.render import Paints
 from hyjax.synthetic.surface import Surface, rows
 from hyjax.synthetic.truth.opening import Opening
@@ -60,7 +61,7 @@ class TruthRoom:
     Exposure. K is the geometric mean, channel by channel, of the photo's own light E_old over what a set of frames
     shows (`mean_light`). A photo shows albedo · E_old · e, with e the exposure `white` of each channel. Under new
     lights with a set-up's reference of R lux the truth shows albedo · E_new / R · K · e: light of R lux stands for
-    the photo's mean light, and the white balance stays as it was set for the photo (`exposure`).
+    the photo's mean light, and the white balance stays as it was set for the photo (`truth_exposure`).
 
     Args:
         name: short; names its files.
@@ -142,10 +143,6 @@ class TruthRoom:
         """Exposure e of the photos, per channel."""
         return np.asarray(self._level(self, self.photo_light), np.float32)
 
-    def exposure(self, mean_light: Float[np.ndarray, "3"], reference_lux: float) -> Float[np.ndarray, "3"]:
-        """Exposure by `truth_exposure` with the photos' own exposure."""
-        return truth_exposure(self.white, mean_light, reference_lux)
-
     def mean_light(self, light: TruthLight, cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
         """Mean light K: geometric mean per channel of irradiance / π over the visible surface."""
         total, count = np.zeros(3), 0
@@ -153,7 +150,7 @@ class TruthRoom:
         for camera in cameras:
             small = camera.intrinsics.resize(96, 128)
             hits = self.caster.cast(camera.origin, Camera(small, camera.pose).rays().reshape(-1, 3))
-            seen = texel_light(self.transport.texels, values, self.surface, render.select(hits, hits.hit))
+            seen = texel_light(self.transport.texels, values, self.surface, select(hits, hits.hit))
             total += np.log(np.maximum(seen, 1e-3 * seen.mean() + 1e-12)).sum(axis=0)
             count += len(seen)
         return np.exp(total / max(count, 1))
@@ -202,7 +199,7 @@ class TruthRoom:
         found = hits.hit & (hits.distance < 0.02)
         found &= np.einsum("nk,nk->n", rows(self.surface.mesh.face_normals, hits.face), normal) > 0.7
         soft, bounce = maps.soft[texel], maps.bounce[texel]
-        chosen = render.select(hits, found)
+        chosen = select(hits, found)
         soft[found] = texel_light(texels, maps.soft, self.surface, chosen)
         bounce[found] = texel_light(texels, maps.bounce, self.surface, chosen)
         position[found], normal[found], _ = smooth_places(self.surface, self.caster, chosen)

@@ -118,19 +118,16 @@ def _visible_share(
     if emitter.extent == 0 and emitter.kind != "rect":
         samples = 1
     square = (r2_sequence(samples)[None] + turn[:, None]) % 1.0
+    weight, mean = np.ones(square.shape[:2], np.float32), samples * np.ones(len(start), np.float32)
     if emitter.kind == "directional":
         way, reach = _to_sun(emitter, start, square)
-        weight = np.ones(reach.shape, np.float32)
-        reach, weight = np.abs(reach), np.where(reach > 0, weight, 0)
-        mean = samples * np.ones(len(start), np.float32)
+        weight[reach <= 0] = 0
     elif emitter.kind == "rect":
         way, weight = _to_rectangle(emitter, start, normal, square)
         reach = np.full(weight.shape, 0.999, np.float32)
         mean = weight.sum(axis=1)
     else:
         way, reach = _to_bulb(emitter, start, square)
-        weight = np.ones(reach.shape, np.float32)
-        mean = samples * np.ones(len(start), np.float32)
     ask = (weight > 0) & (reach > 0)
     index = np.nonzero(ask)
     blocked = caster.occluded(start[index[0]], way[index], reach[index])

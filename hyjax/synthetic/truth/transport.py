@@ -11,20 +11,18 @@ from jaxtyping import Bool, Float, Int
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.kinds import Light
 from hyjax.synthetic.room.light import (
-    BOUNCES,
     CHUNK_RAYS,
     OFFSET,
     WORKERS,
-    cosine_lobe,
-    frames,
+    bounced,
+    chunks_of,
+    gather,
     group,
-    mean_of,
+    patterns,
     smooth,
-    strata,
 )
-from hyjax.synthetic.room.lightmap import Texels, at_hits
-from hyjax.synthetic.room.render import select
-from hyjax.synthetic.surface import Surface, rows
+from hyjax.synthetic.room.lightmap import Texels
+from hyjax.synthetic.surface import Surface
 from hyjax.synthetic.truth.opening import Opening, Radiance, cosine_share, from_opening, leaving
 from hyjax.synthetic.truth.source import direct
 
@@ -66,18 +64,15 @@ class TexelTransport:
     ) -> None:
         self._surface, self._caster, self._openings, self._side, self._seed = surface, caster, openings, side, seed
         self.texels = Texels(surface, scale)
-        step = max(1, CHUNK_RAYS // side**2)
-        self._chunks = [slice(a, min(a + step, len(self.texels))) for a in range(0, len(self.texels), step)]
-        rng = np.random.default_rng((seed, 2))
-        self._lobe = cosine_lobe(strata(side, 4, rng)).astype(np.float32)
-        self._square = strata(side, 2, rng)
+        self._chunks = chunks_of(self.texels, side)
+        self._lobe, self._square = patterns(side, seed)
         with ThreadPoolExecutor(WORKERS) as pool:
             parts = list(pool.map(self._gather, self._chunks))
         self._hit_texels = [part[0] for part in parts]
         self._distance = np.concatenate([part[1] for part in parts])
         self.valid: Bool[np.ndarray, t] = np.concatenate([part[2] for part in parts])
         self._escaped = [part[3] for part in parts]
-        self._albedo = np.where(self.valid[:, None], albedo[self.texels.chart], 0.0).astype(np.float32)
+        self._albedo = albedo
 
     def light(self, radiance: Radiance | None, soft: Sequence[Light], hard: Sequence[Light]) -> Maps:
         """Light of some sources after all bounces.
@@ -97,21 +92,10 @@ class TexelTransport:
                     some = slice(a, a + step)
                     p, n = self.texels.position[some], self.texels.normal[some]
                     total[some] += direct(light, self._caster, p, n, samples, turn[some])
-        bounce = self.bounced(near + sharp)
+        bounce = bounced(near + sharp, self.texels, self._albedo, self.valid, self._hit_texels)
         none = np.zeros_like(near)
         maps = ((near, none), (sharp, none), (none, bounce))
         return Maps(*(smooth(self.texels, a, b, self._distance, self.valid) for a, b in maps))
-
-    def bounced(self, first: Float[np.ndarray, "t 3"]) -> Float[np.ndarray, "t 3"]:
-        """Indirect light from direct light after `BOUNCES` bounces."""
-        total, indirect = first, np.zeros_like(first)
-        with ThreadPoolExecutor(WORKERS) as pool:
-            for _ in range(BOUNCES):
-                # One dark row more: rays that leave, or meet a back side, point at it.
-                radiance = np.concatenate([self._albedo * total, np.zeros((1, 3), np.float32)])
-                indirect = np.concatenate(list(pool.map(lambda h: mean_of(radiance, h), self._hit_texels)))  # noqa: B023
-                total = first + indirect
-        return indirect
 
     def _turn(self) -> Float[np.ndarray, "t 2"]:
         """Shift of each texel's samples; sixteen neighbours take different ones."""
@@ -123,29 +107,12 @@ class TexelTransport:
         self, chunk: slice
     ) -> tuple[Int[np.ndarray, "n k"], Float[np.ndarray, "n"], Bool[np.ndarray, "n"], tuple[np.ndarray, ...]]:
         """Texels that rays hit, their mean distance, whether the place is in the open, and rays that left."""
-        surface, texels, openings = self._surface, self.texels, self._openings
-        normal = texels.normal[chunk]
-        origin = texels.position[chunk] + OFFSET * normal
-        n, rays = len(origin), self._side**2
-        flat = np.matmul(self._lobe[group(texels, chunk, 4)], frames(normal)).reshape(-1, 3)
-        origins = np.repeat(origin, rays, axis=0)
-        hits = self._caster.cast(origins, flat)
-        front = np.einsum("nk,nk->n", rows(surface.mesh.face_normals, hits.face), flat) < 0
-        hit_texels = np.full(n * rays, len(texels), np.int32)
-        lit = hits.hit & front
-        chosen = select(hits, lit)
-        hit_texels[lit] = texels.nearest(rows(surface.chart, chosen.face), at_hits(surface.st, chosen))
-        near = np.minimum(np.where(hits.hit, hits.distance, 10.0), 10.0).reshape(n, rays)
-        inside = (hits.hit & ~front).reshape(n, rays).mean(axis=1)
-        away = np.flatnonzero(~hits.hit)
-        through = leaving(openings, origins[away], flat[away])
-        away, through = away[through >= 0], through[through >= 0]
-        return (
-            hit_texels.reshape(n, rays),
-            1 / (1 / (near + 1e-3)).mean(axis=1),
-            inside < 0.4,
-            (away, through, flat[away]),
-        )
+        rays = gather(self._surface, self._caster, self.texels, chunk, self._lobe)
+        away = np.flatnonzero(~rays.hit)
+        direction = rays.direction[away]
+        through = leaving(self._openings, rays.origin[away // self._side**2], direction)
+        left = through >= 0
+        return rays.hit_texels, rays.distance, rays.valid, (away[left], through[left], direction[left])
 
     def _through_windows(self, number: int, radiance: Radiance) -> Float[np.ndarray, "n 3"]:
         chunk, rays = self._chunks[number], self._side**2
