@@ -20,9 +20,6 @@ def with_fast_values(plain: Callable[..., Any], fast: Callable[..., Any]) -> Cal
     >>> square = with_fast_values(lambda x: x * x, lambda x: x**2)
     >>> float(square(3.0)), float(jax.grad(square)(3.0))
     (9.0, 6.0)
-
-    Args:
-        fast: another that computes the same.
     """
     function = jax.custom_jvp(fast)
 

@@ -121,6 +121,7 @@ def shadow_pass(
 
 
 @checked_arguments
+@functools.partial(jax.jit, static_argnames="sampling")
 def fill_visibility(
     raw: Float[Array, "sh sw l"], known: Bool[Array, "sh sw l"], guide: Float[Array, "h w f"], *, sampling: int = 1
 ) -> Float[Array, "sh sw l"]:
@@ -143,13 +144,6 @@ def fill_visibility(
     Raises:
         InputError: see `cascade`.
     """
-    return _fill_visibility(raw, known, guide, sampling=sampling)
-
-
-@functools.partial(jax.jit, static_argnames="sampling")
-def _fill_visibility(
-    raw: Float[Array, "sh sw l"], known: Bool[Array, "sh sw l"], guide: Float[Array, "h w f"], *, sampling: int
-) -> Float[Array, "sh sw l"]:
     known, schedule = known & jnp.isfinite(raw), Schedule.preset(FILLING_PRESET)
     check_sampling([schedule], sampling)
     if sampling > 1:  # the same levels, over the means of the guide

@@ -104,12 +104,7 @@ class Schedule:
             return schedule
         if not isinstance(schedule, str):
             raise InputError(f"{where}: must be a Schedule or the name of a preset, got {shown(schedule)}")
-        if schedule not in PRESETS:
-            known = ", ".join(PRESETS)
-            raise InputError(
-                f"{where}: no preset {shown(schedule)}{did_you_mean(schedule, PRESETS)}; there are {known}"
-            )
-        return cls.preset(schedule)
+        return cls.preset(_known_preset(schedule, where))
 
     @classmethod
     @checked_arguments
@@ -166,10 +161,7 @@ class Schedule:
         Raises:
             InputError: unknown name.
         """
-        if not isinstance(name, str) or name not in PRESETS:
-            hint = did_you_mean(name, PRESETS) if isinstance(name, str) else ""
-            raise InputError(f"schedule: no preset {shown(name)}{hint}; there are {', '.join(PRESETS)}")
-        preset = PRESETS[name]
+        preset = PRESETS[_known_preset(name, "schedule")]
         options = preset.options if kappa is None else preset.options | {"kappa": kappa}
         return cls.uniform(preset.steps, lam=lam, name=name, **options)
 
@@ -285,6 +277,13 @@ def guided_schedule(steps: Iterable[tuple[int, int]], *, name: str = "custom", *
         options: of `Schedule.uniform`, instead of the presets'.
     """
     return Schedule.uniform(steps, name=name, **(GUIDED_OPTIONS | options))
+
+
+def _known_preset(name: str, where: str) -> str:
+    if name not in PRESETS:
+        known = f"{did_you_mean(name, PRESETS)}; there are {', '.join(PRESETS)}"
+        raise InputError(f"{where}: no preset {shown(name)}{known}")
+    return name
 
 
 def _float(value: ArrayLike) -> float:

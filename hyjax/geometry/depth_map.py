@@ -87,13 +87,20 @@ def confirmed(frame: DepthFrame, position: Float[np.ndarray, "h w 3"], *, unread
     """
     if frame.depth is None:
         return np.full(position.shape[:2], unread)
-    pixel, expected = frame.depth_camera.project(position.astype(np.float64))
-    height, width = frame.depth.shape
+    return confirmed_by(frame.depth, frame.depth_camera, position.astype(np.float64), unread=unread)
+
+
+def confirmed_by(
+    depth: Float[np.ndarray, "h w"], camera: Camera, position: Float[np.ndarray, "*n 3"], *, unread: bool
+) -> Bool[np.ndarray, "*n"]:
+    """`confirmed`, of any world points by a depth map and its camera."""
+    pixel, expected = camera.project(position)
+    height, width = depth.shape
     with np.errstate(invalid="ignore"):
         column, row = np.floor(pixel[..., 0]), np.floor(pixel[..., 1])
         inside = (column >= 0) & (row >= 0) & (column < width) & (row < height) & (expected > 0)
     row, column = (np.where(inside, x, 0).astype(int) for x in (row, column))
-    measured = np.where(inside, frame.depth[row, column], 0.0)
+    measured = np.where(inside, depth[row, column], 0.0)
     return np.where(
         measured > 0, np.abs(measured - expected) < READING_TOLERANCE[0] + READING_TOLERANCE[1] * expected, unread
     )

@@ -54,7 +54,8 @@ def counted_gltf(
         _check_parts(path, nodes, meshes, accessors, views)
         _check_copies(path, nodes, meshes, accessors)
         buffers = _buffers(path, tree.get("buffers", []), file if is_binary else None, beside)
-    read = max(sum(map(_bytes, accessors)), sum(max(view["byteLength"], 0) for view in views))
+    sizes = (SIZES.get(a["componentType"], 4) * COLUMNS.get(a["type"], 16) * max(a["count"], 0) for a in accessors)
+    read = max(sum(sizes), sum(max(view["byteLength"], 0) for view in views))
     if read > HARMLESS_BYTES + MOST_READINGS * sum(map(len, {id(buffer): buffer for buffer in buffers}.values())):
         raise InputError(f"{path}: refused, it reads {read / 2**20:.0f} MiB out of far less")
     roots = scenes[tree.get("scene", 0)].get("nodes", []) if scenes else []
@@ -156,12 +157,6 @@ def _check_copies(
             f"{path}: refused, its {sum(map(len, meshes))} parts are placed {len(places)} times, "
             f"with {copies} vertices and corners that others have too; at most {MOST_COPIES} are read"
         )
-
-
-def _bytes(accessor: Mapping[str, Any]) -> int:
-    """Bytes of an accessor's array."""
-    entry = SIZES.get(accessor["componentType"], 4) * COLUMNS.get(accessor["type"], 16)
-    return max(accessor["count"], 0) * entry
 
 
 def _buffers(

@@ -91,12 +91,6 @@ def degenerate_faces(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, 
     return repeated | (doubled_area <= FLATNESS_TOLERANCE * longest)
 
 
-def drop_faces(mesh: trimesh.Trimesh, bad: Bool[np.ndarray, "m"]) -> trimesh.Trimesh:
-    """The mesh without the faces marked `bad` and without the vertices that only they used."""
-    normals = np.asarray(mesh.vertex_normals)
-    return _compact(np.asarray(mesh.vertices), np.asarray(mesh.faces)[~bad], normals)
-
-
 Part = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 
 
@@ -112,13 +106,12 @@ def _parts(path: Path, content: bytes | None) -> Iterator[Part]:
             scene = trimesh.load_scene(slim, "gltf", resolver=buffers, **options)
         elif kind == "obj":
             with open_regular(path) if content is None else io.BytesIO(content) as file:
-                slim = _in_one_part(file.read())
-            scene = trimesh.load_scene(slim, kind, **options)
-        elif content is None:
-            with path.open("rb") as file:
-                scene = trimesh.load_scene(file, kind, resolver=_FilesBeside(str(path)), **options)
+                text = CONTINUED_LINE.sub(b"", file.read())
+            # Without its materials: trimesh goes through all vertices for each of them.
+            scene = trimesh.load_scene(io.BytesIO(MATERIAL.sub(b"#", text)), kind, **options)
         else:
-            scene = trimesh.load_scene(io.BytesIO(content), kind, **options)
+            with path.open("rb") if content is None else io.BytesIO(content) as file:
+                scene = trimesh.load_scene(file, kind, **options)
         placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
         parts = [(scene.geometry[name], transform) for transform, name in placed]
         meshes = [(part, transform) for part, transform in parts if isinstance(part, trimesh.Trimesh)]
@@ -145,11 +138,6 @@ class _FilesBeside(FilePathResolver):
         if path not in self._read:
             self._read[path] = read_bytes(path, most=LARGEST_BUFFER)
         return self._read[path]
-
-
-def _in_one_part(content: bytes) -> io.BytesIO:
-    """An OBJ without its materials: trimesh goes through all vertices for each of them."""
-    return io.BytesIO(MATERIAL.sub(b"#", CONTINUED_LINE.sub(b"", content)))
 
 
 def _nothing_beside(path: Path, name: str) -> bytes:

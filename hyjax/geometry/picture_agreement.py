@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from hyjax.geometry.camera import Camera
-from hyjax.geometry.depth_map import READING_TOLERANCE, DepthReading, clean_depth
+from hyjax.geometry.depth_map import DepthReading, clean_depth, confirmed_by
 
 COARSE_PIXELS = 4.0
 """Standard deviation of the Gaussian, in pixels of the picture, that is taken off it."""
@@ -60,8 +60,7 @@ def fine_structure(image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"
     from scipy import ndimage  # SciPy is slow to load
 
     grey = image.mean(axis=-1)
-    fine: Float[np.ndarray, "h w"] = grey - ndimage.gaussian_filter(grey, COARSE_PIXELS)
-    return fine
+    return grey - ndimage.gaussian_filter(grey, COARSE_PIXELS)
 
 
 def agreement(first: PosedPicture, second: PosedPicture) -> float | None:
@@ -73,7 +72,7 @@ def agreement(first: PosedPicture, second: PosedPicture) -> float | None:
     points = first.reading.camera.unproject(first.depth)[first.depth > 0]
     own, inside = _sampled(first, points)
     other, seen = _sampled(second, points)
-    common = inside & seen & _confirmed(second.reading, points)
+    common = inside & seen & confirmed_by(second.reading.depth, second.reading.camera, points, unread=False)
     if common.sum() < FEWEST_POINTS or min(own[common].std(), other[common].std()) < LEAST_CONTRAST:
         return None
     return float(np.corrcoef(own[common], other[common])[0, 1])
@@ -89,15 +88,3 @@ def _sampled(
     (height, width), (x, y) = picture.fine.shape, np.nan_to_num(pixel.T - 0.5)
     inside = (depth > 0) & (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
     return ndimage.map_coordinates(picture.fine, [y, x], order=1, mode="nearest"), inside
-
-
-def _confirmed(reading: DepthReading, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
-    """Whether a depth map measured a surface at each of the points."""
-    pixel, expected = reading.camera.project(points)
-    height, width = reading.depth.shape
-    column, row = np.floor(np.nan_to_num(pixel.T, nan=-1.0, posinf=-1.0, neginf=-1.0))
-    inside = (expected > 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height)
-    measured = np.zeros(len(points))
-    measured[inside] = reading.depth[row[inside].astype(int), column[inside].astype(int)]
-    tolerance = READING_TOLERANCE[0] + READING_TOLERANCE[1] * expected
-    return (measured > 0) & (np.abs(measured - expected) < tolerance)

@@ -43,11 +43,7 @@ def register(
     rounds: int = 3,
     progress: bool = True,
 ) -> list[DepthReading]:
-    """Depth maps with poses that fit each other.
-
-    Args:
-        far: metres beyond which nothing is matched.
-    """
+    """Depth maps with poses that fit each other, see `registered`."""
     current = list(readings)
     with StepBar[None](desc="registering", total=rounds * len(readings), disable=not progress, unit="frame") as bar:
         for _ in range(rounds):
@@ -74,11 +70,7 @@ def registered(reading: DepthReading, caster: RayCaster, far: float, first: Pose
     depth = clean_depth(reading.depth, camera, far)
     usable = depth > 0 if reading.confidence is None else (depth > 0) & (reading.confidence >= 1)
     chosen = np.flatnonzero(usable)
-    chosen = (
-        chosen[np.linspace(0, len(chosen) - 1, min(MATCHED_READINGS, len(chosen))).astype(int)]
-        if len(chosen)
-        else chosen
-    )
+    chosen = chosen[np.linspace(0, len(chosen) - 1, min(MATCHED_READINGS, len(chosen))).astype(int)]
     local = (Camera(camera.intrinsics, np.eye(4)).rays() * depth[..., None]).reshape(-1, 3)[chosen]
     pose = camera.pose
     for _ in range(ITERATIONS):

@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.depth_map import PosedDepth, clean_depth, posed_depths, view_cosine
-from hyjax.geometry.mesh import degenerate_faces, drop_faces
+from hyjax.geometry.mesh import degenerate_faces, submesh
 from hyjax.geometry.raycast import RayCaster
-from hyjax.geometry.surface import relax, smooth_normals
+from hyjax.geometry.surface import relax, with_normals
 from hyjax.geometry.tsdf import fuse
 from hyjax.util.errors import InputError
 
@@ -209,8 +209,7 @@ def coarsen(mesh: trimesh.Trimesh, config: ScanConfig, rng: np.random.Generator)
     bad |= _holes(mesh, config, rng)
     if bad.all():
         raise InputError("scan: nothing is left of the surface; take more frames or tear out less")
-    mesh = drop_faces(mesh, bad)
-    return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=smooth_normals(mesh, 1), process=False)
+    return with_normals(submesh(mesh, ~bad), 1)
 
 
 def _holes(mesh: trimesh.Trimesh, config: ScanConfig, rng: np.random.Generator) -> Bool[np.ndarray, "m"]:

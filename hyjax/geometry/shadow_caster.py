@@ -51,22 +51,19 @@ def cast_shadow_maps(
     """
     if not 0 < scale <= LARGEST_SCALE:
         raise InputError(f"scale: must be > 0 and at most {LARGEST_SCALE:g}, got {scale:g}")
-    thinned = (_thinned(light.shadow_views(), most_views) for light in lights)
-    maps = tuple(_cast(caster, views, scale, folder) for views in thinned)
+    maps = tuple(_cast(caster, light.shadow_views(), scale, most_views, folder) for light in lights)
     if slack is None:
         return maps
     error = jax.device_put(np.float32(slack))
     return tuple(m if m is None else dataclasses.replace(m, slack=error) for m in maps)
 
 
-def _thinned(views: ShadowViews | None, most: int | None) -> ShadowViews | None:
-    return views if views is None or most is None else views.thinned(most)
-
-
-def _cast(caster: RayCaster, views: ShadowViews | None, scale: float, folder: Path | None) -> ShadowMap | None:
+def _cast(
+    caster: RayCaster, views: ShadowViews | None, scale: float, most_views: int | None, folder: Path | None
+) -> ShadowMap | None:
     if views is None:
         return None
-    layout = MapLayout.of(views, scale, caster.bounds)
+    layout = MapLayout.of(views if most_views is None else views.thinned(most_views), scale, caster.bounds)
     if folder is None:
         return layout.cast(caster)
     file = folder / f"{digest([str(VERSION), caster.arrays.key, layout.key])}.npz"

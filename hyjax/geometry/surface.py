@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import sparse
 from skimage.measure import marching_cubes
 
-from hyjax.geometry.mesh import degenerate_faces, drop_faces
+from hyjax.geometry.mesh import degenerate_faces, submesh
 from hyjax.util.errors import InputError
 from hyjax.util.vectors import SHORTEST_LENGTH, unit
 
@@ -49,9 +49,7 @@ def extract_surface(
     bad |= in_small_pieces(mesh, (8.0 * voxel) ** 2)
     if bad.all():
         raise InputError("no surface: only specks were measured; need more depth or a finer voxel")
-    mesh = drop_faces(mesh, bad)
-    normals = smooth_normals(mesh, NORMAL_SMOOTHING)
-    return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals, process=False)
+    return with_normals(submesh(mesh, ~bad), NORMAL_SMOOTHING)
 
 
 def _assemble(

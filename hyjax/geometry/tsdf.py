@@ -265,15 +265,12 @@ def _farthest_around(
     for number in range(level.max(initial=0) + 1):
         if tile >= min(depth.shape):
             break  # larger balls keep the maximum of the whole map
-        tiles = ndimage.maximum_filter(_pool_max(depth, tile), 3)
+        rows, columns = (np.arange(0, n, tile) for n in depth.shape)
+        largest = np.maximum.reduceat(np.maximum.reduceat(depth, rows, axis=0), columns, axis=1)
+        tiles = ndimage.maximum_filter(largest, 3)
         here = level == number
         i = np.clip(row[here] // tile, 0, tiles.shape[0] - 1).astype(int)
         j = np.clip(column[here] // tile, 0, tiles.shape[1] - 1).astype(int)
         bound[here] = tiles[i, j]
         tile *= 2
     return bound
-
-
-def _pool_max(values: Float[np.ndarray, "h w"], tile: int) -> Float[np.ndarray, "ht wt"]:
-    rows, columns = (np.arange(0, n, tile) for n in values.shape)
-    return np.maximum.reduceat(np.maximum.reduceat(values, rows, axis=0), columns, axis=1)

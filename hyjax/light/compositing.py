@@ -8,6 +8,7 @@ from hyjax.util.errors import InputError
 
 
 @checked_arguments
+@jax.jit
 def composite(relight_filter: Float[Array, "h w c"], frame: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
     """Relit picture S = R ⊙ C (Eq. 1).
 
@@ -22,9 +23,4 @@ def composite(relight_filter: Float[Array, "h w c"], frame: Float[Array, "h w 3"
     """
     if relight_filter.shape[:2] != frame.shape[:2] or relight_filter.shape[-1] not in (1, frame.shape[-1]):
         raise InputError(f"composite: filter {relight_filter.shape} does not fit the frame {frame.shape}")
-    return _multiply(relight_filter, frame)
-
-
-@jax.jit
-def _multiply(relight_filter: Float[Array, "h w c"], frame: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
     return relight_filter * frame

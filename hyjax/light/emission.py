@@ -167,10 +167,7 @@ def emission(
     pose: Float[Array, "4 4"],
     intrinsics: Float[Array, "3 3"],
 ) -> Emission:
-    """Pixels of a view that emit.
-
-    Args: see `source_pixels`.
-    """
+    """Pixels of a view that emit, see `source_pixels`."""
     frame = finite_or_zero(frame)
     return shine(emitters, source_pixels(emitters, frame, gbuffer, pose, intrinsics), frame)
 

@@ -122,11 +122,7 @@ def corrected(
     shares: Edges,
     fidelity: Float[ArrayLike, ""] = FIDELITY,
 ) -> Float[Array, "*b h w"]:
-    """Correction c of the estimate's logarithm.
-
-    Args:
-        fidelity: α.
-    """
+    """Correction c of the estimate's logarithm, with the fidelity α."""
     differences = gradient(log_frame - log_light)
     return screened_poisson((shares[0] * differences[0], shares[1] * differences[1]), fidelity)
 
@@ -159,11 +155,7 @@ def _on_grid(edges: Edges) -> tuple[Float[Array, "*b h w"], Float[Array, "*b h w
 
 
 def light_shares(weights: Weights, features: Float[Array, "*b h w f"]) -> Edges:
-    """Share s, in [0, 1], of light in the difference along each edge, as the network has it.
-
-    Args:
-        features: of the pixels.
-    """
+    """Share s, in [0, 1], of light in the difference along each edge, as the network has it."""
     height, width, count = features.shape[-3:]
     x = features.reshape(-1, height, width, count)
     x = jnp.pad(x, [(0, 0), (0, height % 2), (0, width % 2), (0, 0)], "edge")
@@ -173,7 +165,6 @@ def light_shares(weights: Weights, features: Float[Array, "*b h w f"]) -> Edges:
 
 
 def _scales(weights: Weights) -> int:
-    """Number of the network's scales."""
     return sum(name.startswith("block") for name in weights) // 2
 
 
@@ -206,6 +197,5 @@ def _blocks(x: Float[Array, "b h w c"]) -> Float[Array, "b hh hw c4"]:
 
 
 def _pixels(x: Float[Array, "b hh hw c4"]) -> Float[Array, "b h w c"]:
-    """Pixels of such blocks."""
     b, h, w, c = x.shape
     return x.reshape(b, h, w, 2, 2, c // 4).transpose(0, 1, 3, 2, 4, 5).reshape(b, 2 * h, 2 * w, c // 4)

@@ -168,13 +168,13 @@ def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lig
     """Add the photo's own light and bounces to a shaded surface.
 
     Args:
-        shaded: direct light.
-        light: on the vertices.
         gbuffer: of the view, with triangles; see `on_pixels` for surfaces outside the scan.
         lights: of the shading; ambient ones are in the bounces, see `bounced_light`, and give no direct light.
     """
     direct = np.isin(np.arange(len(lights)), direct_channels(lights, light.bounced is not None))
-    return _add(shaded, light, on_triangles(gbuffer), jax.device_put(direct))
+    if gbuffer.face is None or gbuffer.barycentric is None:
+        raise InputError("surface light: the G-buffer must have the triangle of each pixel, as a mesh's does")
+    return _add(shaded, light, gbuffer, jax.device_put(direct))
 
 
 def direct_channels(lights: Sequence[Light], bounces: bool) -> tuple[int, ...]:
@@ -218,10 +218,3 @@ def on_pixels(values: Float[Array, "v 3"], faces: Int[Array, "f 3"], gbuffer: GB
     inside = interpolate(values, faces, gbuffer.face, gbuffer.barycentric)
     foreign = gbuffer.hit & (gbuffer.face < 0)
     return jnp.where(foreign[..., None], jnp.mean(values, axis=0), inside)
-
-
-def on_triangles(gbuffer: GBuffer) -> GBuffer:
-    """Return the G-buffer if it has triangles."""
-    if gbuffer.face is None or gbuffer.barycentric is None:
-        raise InputError("surface light: the G-buffer must have the triangle of each pixel, as a mesh's does")
-    return gbuffer

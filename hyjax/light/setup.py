@@ -1,7 +1,7 @@
 """Light set-up: virtual lights, and the reference illuminance of the frames."""
 
 import dataclasses
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 
 import jax
 import numpy as np
@@ -42,12 +42,8 @@ class LightSetup:
         """
         if isinstance(lights, LightSetup):
             setup = lights
-        elif isinstance(lights, Light):
-            setup = cls((lights,))
-        elif isinstance(lights, Iterable) and not isinstance(lights, str | bytes | Mapping):
-            setup = cls(tuple(lights))
         else:
-            raise InputError(f"lights: must be a LightSetup or several lights, got {shown(lights)}")
+            setup = cls((lights,) if isinstance(lights, Light) else tuple(lights))
         setup.check_values("lights")
         return setup
 

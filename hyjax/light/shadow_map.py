@@ -291,8 +291,7 @@ def visibilities(
         raise InputError(f"shadow_maps: {len(shadow_maps)} for {len(lights)} lights; give one for each")
     pairs = zip(lights, shadow_maps, strict=True)
     channels = [run(visibility, gbuffer, light, shadow_map, interleave=interleave) for light, shadow_map in pairs]
-    stacked: Float[Array, "h w l"] = run(_stacked, channels)
-    return stacked
+    return run(_stacked, channels)
 
 
 @jax.jit

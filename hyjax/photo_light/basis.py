@@ -147,7 +147,6 @@ def _wall_light(hits: Int[np.ndarray, "r p"], first: int) -> Float[np.ndarray, "
 
 
 def _grid_pairs(rows: int, columns: int) -> Int[np.ndarray, "e 2"]:
-    """Pairs of neighbours in a grid."""
     number = np.arange(rows * columns).reshape(rows, columns)
     across = np.stack([number[:, :-1].ravel(), number[:, 1:].ravel()], axis=1)
     down = np.stack([number[:-1].ravel(), number[1:].ravel()], axis=1)

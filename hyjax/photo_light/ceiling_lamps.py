@@ -100,5 +100,4 @@ def _clusters(
 
 
 def _frames(origins: Float[np.ndarray, "n 3"]) -> int:
-    """Number of different cameras."""
     return len({origin.tobytes() for origin in origins})

@@ -50,22 +50,15 @@ Rays = tuple[Int[np.ndarray, "r p"], Float[np.ndarray, "p 3"], Float[np.ndarray,
 
 
 @dataclasses.dataclass(frozen=True)
-class Estimate:
-    """Photo's light on a scan, with the evidence for it.
+class Estimate(Belief):
+    """Photo's light on a scan, with the belief in it.
 
     Attributes:
-        exponent: of the brightness of E_old: 0 where dividing would do harm, 1 where it is believed.
-        hue_exponent: of the hue of E_old, which is harder to separate from that of the surfaces.
-        flatness: mean difference of log brightness on planes after the division over that before it, on pairs that
-            were held out, for each of `EXPONENTS`.
         transport: of the scan, also where nothing is believed and `light` has no bounces.
     """
 
     light: PhotoLight
     names: tuple[str, ...]
-    exponent: float
-    hue_exponent: float
-    flatness: tuple[float, ...]
     transport: Transport
 
     @property
@@ -159,7 +152,7 @@ def read_estimate(caster: RayCaster, arrays: Arrays) -> Estimate:
     names = tuple(str(name) for name in arrays["names"])
     flatness = tuple(float(x) for x in arrays["flatness"])
     light = PhotoLight(illuminance, shares, mean, albedo, used, filled_share(transport) if exponent else 1.0)
-    return Estimate(light, names, exponent, float(arrays["hue_exponent"]), flatness, transport)
+    return Estimate(exponent, float(arrays["hue_exponent"]), flatness, light, names, transport)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -175,11 +168,6 @@ class _Shown:
     visible: Bool[np.ndarray, "v"]
     radiance: Float[np.ndarray, "v 3"]
     scale: float
-
-    @property
-    def contrast(self) -> float:
-        """Range of the logarithm of the radiance."""
-        return float(np.ptp(np.log(self.radiance[self.visible])))
 
 
 def _shown(seen: VertexRadiance) -> _Shown:
@@ -219,11 +207,12 @@ def _fitted(
     """
     vertices, count = np.asarray(caster.mesh.vertices), len(normal)
     nothing = np.full((basis.light.shape[1], 3), 1.0), NO_BELIEF, None
-    if not shown.visible.any() or shown.contrast <= LEAST_CONTRAST:
-        return nothing
-    pairs = coplanar_pairs(vertices, normal, shown.visible, PAIR_COUNT)
     log_radiance = np.log(shown.radiance)
-    pairs = pairs[_one_hue(log_radiance, pairs)]
+    if not shown.visible.any() or np.ptp(log_radiance[shown.visible]) <= LEAST_CONTRAST:
+        return nothing
+    pairs, hue = coplanar_pairs(vertices, normal, shown.visible, PAIR_COUNT), split(log_radiance)[1]
+    # Albedo changes with hue.
+    pairs = pairs[np.abs(hue[pairs[:, 0]] - hue[pairs[:, 1]]).max(axis=1) < HUE_TOLERANCE]
     known = (gathered, basis.light[:count], log_radiance)
     gathered_here, light, radiance = (jax.device_put(np.ascontiguousarray(a.T, np.float32)) for a in known)
     seen, alike = jnp.asarray(shown.visible), jnp.asarray(basis.neighbours, jnp.int32)
@@ -302,12 +291,6 @@ def _shares(
 def _log_mean(values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
     """Geometric mean; 1 without values."""
     return np.exp(np.log(np.maximum(values, RADIANCE_FLOOR)).mean(axis=0)) if len(values) else np.ones(3)
-
-
-def _one_hue(log_radiance: Float[np.ndarray, "v 3"], pairs: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-    """Whether pairs share one hue, as albedo changes with hue."""
-    hue = split(log_radiance)[1]
-    return np.abs(hue[pairs[:, 0]] - hue[pairs[:, 1]]).max(axis=1) < HUE_TOLERANCE
 
 
 def _visible_mean(

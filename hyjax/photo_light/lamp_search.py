@@ -176,13 +176,11 @@ def is_flat(sightings: Sequence[Sighting], place: Vector, burnt: Float[np.ndarra
             [s.frame.camera.origin + s.rays[s.face >= 0] * s.depth[s.face >= 0][:, None] for s in sightings]
         )
         points = points[np.linalg.norm(points - place, axis=-1) < SURROUNDINGS]
-    return len(points) >= FEWEST_POINTS and _thickness(points) < LEAST_THICKNESS
-
-
-def _thickness(points: Float[np.ndarray, "n 3"]) -> float:
-    """Deviation of points from the plane that fits them best."""
+    if len(points) < FEWEST_POINTS:
+        return False
     centred = points - points.mean(axis=0)
-    return float(np.sqrt(np.linalg.eigvalsh(centred.T @ centred / len(points))[0]))
+    # The deviation of points from the plane that fits them best.
+    return float(np.sqrt(np.linalg.eigvalsh(centred.T @ centred / len(points))[0])) < LEAST_THICKNESS
 
 
 def _seen_lit(sightings: Sequence[Sighting], place: Vector, radius: float) -> float:

@@ -10,9 +10,8 @@ from jaxtyping import Bool, Float, Int
 
 from hyjax.data.capture import MARGIN_DEPTH, Frame
 from hyjax.geometry.raycast import RayCaster
+from hyjax.photo_light.sources import SATURATED_VALUE
 
-SATURATED_VALUE = 0.97
-"""Display value from which a sensor is saturated."""
 SATURATED_WEIGHT = 0.02
 GRAZING_COSINE = 0.15
 """Cosine of the viewing angle below which a surface is too grazing to be read."""

@@ -89,7 +89,6 @@ def find_photo_sources(
 
 
 def _windows_of(wall: int, box: Box, sightings: Sequence[Sighting], up: Vector) -> list[PhotoWindow]:
-    """Windows in one wall of the box."""
     outward, offset = box[0][wall], box[1][wall]
     vertical = up if abs(outward @ up) < 0.5 else box[0][0]
     across = np.cross(vertical, -outward)
@@ -130,8 +129,14 @@ def _windows_of(wall: int, box: Box, sightings: Sequence[Sighting], up: Vector) 
     frames_seen = count["open"] + count["burnt wall"]
     brightness = np.where(weight > 0, total / np.maximum(weight, 1.0), np.nan)
     cells = _Cells(hole | white, hole, burnt, count["wall"] > 0, frames_seen, brightness)
-    frame = _Wall(-outward, offset * outward, across, vertical, low)
-    return [frame.window(rectangle) for rectangle in _rectangles(cells)]
+    windows = []
+    for rectangle in _rectangles(cells):
+        first = low + CELL_SIDE * np.array(rectangle[::2])
+        last = low + CELL_SIDE * (np.array(rectangle[1::2]) + 1)
+        (a, b), (width, height) = (first + last) / 2, last - first
+        center = offset * outward + a * across + b * vertical
+        windows.append(PhotoWindow("", center, across * width / 2, vertical * height / 2, -outward))
+    return windows
 
 
 Rectangle = tuple[int, int, int, int]
@@ -159,26 +164,6 @@ class _Cells:
     brightness: Float[np.ndarray, "a b"]
 
 
-@dataclasses.dataclass(frozen=True)
-class _Wall:
-    """Axes of a wall's cells."""
-
-    inward: Vector
-    origin: Vector
-    across: Vector
-    vertical: Vector
-    low: Float[np.ndarray, "2"]
-
-    def window(self, rectangle: Rectangle) -> PhotoWindow:
-        """Window over a rectangle of cells."""
-        first = self.low + CELL_SIDE * np.array(rectangle[::2])
-        last = self.low + CELL_SIDE * (np.array(rectangle[1::2]) + 1)
-        a, b = (first + last) / 2
-        width, height = last - first
-        center = self.origin + a * self.across + b * self.vertical
-        return PhotoWindow("", center, self.across * width / 2, self.vertical * height / 2, self.inward)
-
-
 def _rectangles(cells: _Cells) -> list[Rectangle]:
     """Rectangles of windows.
 
@@ -187,7 +172,9 @@ def _rectangles(cells: _Cells) -> list[Rectangle]:
     found: list[tuple[float, Rectangle, Rectangle]] = []
     for mask, grows in ((cells.mask, False), (cells.mask & cells.burnt, True)):
         least_wall = LEAST_WALL_OF_BURNT if grows else LEAST_WALL_SHARE
-        labels, number = _connected(mask)
+        # Connected parts, small gaps closed and thin bridges cut.
+        closed = ndimage.binary_closing(np.pad(mask, 3), np.ones((3, 3)))[3:-3, 3:-3]
+        labels, number = ndimage.label(ndimage.binary_opening(closed, np.ones((3, 3))))
         for part in (labels == k for k in range(1, number + 1)):
             if part.sum() * CELL_SIDE**2 < LEAST_AREA:
                 continue
@@ -215,12 +202,6 @@ def _rectangles(cells: _Cells) -> list[Rectangle]:
         if not any(_overlap(core, other) for other, _ in kept):
             kept.append((core, whole))
     return [whole for _, whole in kept]
-
-
-def _connected(cells: Bool[np.ndarray, "a b"]) -> tuple[Int[np.ndarray, "a b"], int]:
-    """Numbered connected parts, small gaps closed and thin bridges cut, and how many there are."""
-    closed = ndimage.binary_closing(np.pad(cells, 3), np.ones((3, 3)))[3:-3, 3:-3]
-    return ndimage.label(ndimage.binary_opening(closed, np.ones((3, 3))))
 
 
 def _middle(part: Bool[np.ndarray, "a b"]) -> Rectangle:
@@ -260,7 +241,6 @@ def _rim(shape: tuple[int, int], inside: tuple[slice, slice]) -> Bool[np.ndarray
 
 
 def _overlap(a: Rectangle, b: Rectangle) -> bool:
-    """Whether two rectangles share cells."""
     return a[0] <= b[1] and b[0] <= a[1] and a[2] <= b[3] and b[2] <= a[3]
 
 

@@ -143,15 +143,10 @@ class _SourcesFile(msgspec.Struct, forbid_unknown_fields=True):
 
 
 FORMS = {
-    "center": "three finite numbers",
-    "normal": "three finite numbers",
-    "position": "three finite numbers",
-    "width": "a number of metres > 0",
-    "height": "a number of metres > 0",
-    "radius": "a number of metres > 0",
+    **dict.fromkeys(("center", "normal", "position"), "three finite numbers"),
+    **dict.fromkeys(("width", "height", "radius"), "a number of metres > 0"),
+    **dict.fromkeys(("windows", "lamps"), "a list"),
     "name": "a text",
-    "windows": "a list",
-    "lamps": "a list",
 }
 
 
@@ -184,9 +179,15 @@ def read_sources(path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarr
     """
     path = Path(path)
     named_windows, lamps = source_entries(path)
-    windows = [_checked_window(f"{path}: window {i}", entry, i, up) for i, entry in enumerate(named_windows)]
-    for i, window in enumerate(windows):
-        _check_place(f"{path}: window {i}", window, caster, eyes)
+    windows = []
+    for i, entry in enumerate(named_windows):
+        center, normal = np.asarray(entry.center, float), np.asarray(entry.normal, float)
+        name = entry.name or f"window-{i + 1}"
+        try:
+            windows.append(PhotoWindow.facing(name, center, normal, up, entry.width, entry.height))
+            _check_place(windows[-1], caster, eyes)
+        except InputError as error:
+            raise InputError(f"{path}: window {i}: {error}") from None
     low, high = caster.mesh.bounds
     made = []
     for i, lamp in enumerate(lamps):
@@ -203,17 +204,7 @@ def read_sources(path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarr
     return PhotoSources(tuple(windows), tuple(made), "file")
 
 
-def _checked_window(where: str, entry: _Window, number: int, up: Vector) -> PhotoWindow:
-    try:
-        center, normal = np.asarray(entry.center, float), np.asarray(entry.normal, float)
-        return PhotoWindow.facing(
-            entry.name or f"window-{number + 1}", center, normal, up, entry.width, entry.height
-        )
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
-
-
-def _check_place(where: str, window: PhotoWindow, caster: RayCaster, eyes: Float[np.ndarray, "n 3"]) -> None:
+def _check_place(window: PhotoWindow, caster: RayCaster, eyes: Float[np.ndarray, "n 3"]) -> None:
     """Raise `InputError` if a window stands off the walls, or looks out of the room."""
     mesh = caster.mesh
     rim = np.concatenate([window.corners, 0.5 * (window.corners + np.roll(window.corners, 1, axis=0))])
@@ -225,11 +216,10 @@ def _check_place(where: str, window: PhotoWindow, caster: RayCaster, eyes: Float
     to_box = np.abs(np.stack([window.center - low, window.center - high]))[:, np.abs(window.normal) > 0.9]
     if np.median(away) > WALL_DISTANCE and not (inside and to_box.size and to_box.min() < WALL_DISTANCE):
         raise InputError(
-            f"{where}: stands {np.median(away):.2g} m off the scan's walls; give its centre in metres, in the "
-            "capture's axes"
+            f"stands {np.median(away):.2g} m off the scan's walls; give its centre in metres, in the capture's axes"
         )
     if np.median((eyes - window.center) @ window.normal) < 0:
-        raise InputError(f"{where}: looks away from the cameras; its normal must point into the room")
+        raise InputError("looks away from the cameras; its normal must point into the room")
 
 
 def _surface_points(mesh: Any) -> Float[np.ndarray, "n 3"]:

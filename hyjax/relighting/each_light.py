@@ -20,9 +20,6 @@ def relight_each(settings: RelightSettings) -> dict[Path, dict[str, Any]]:
     Ambient lights are left out where bounces stand in their place, which each picture has. Alone, no light is
     too weak to cast shadows: a sum is the picture that `least_share=0` has.
 
-    Args:
-        settings: what to relight and how, all lights together.
-
     Returns:
         The folders, with the content of their `run.json`.
     """

@@ -41,6 +41,10 @@ MOST_PIXELS_AT_ONCE = 1_500_000
 _log = logging.getLogger(__name__)
 
 
+def _no_stages() -> Relit:
+    raise AssertionError("no stages are kept of this frame")
+
+
 @dataclasses.dataclass
 class RelitFrame:
     """Relit frame of a run.
@@ -51,21 +55,12 @@ class RelitFrame:
     """
 
     frame: Frame
-    image: Float[Array, "h w 3"] | None
-    compared: Callable[[], Relit]
-
-    @classmethod
-    def without_surface(cls, frame: Frame) -> "RelitFrame":
-        """A frame that sees no surface."""
-        return cls(frame, None, _no_stages)
+    image: Float[Array, "h w 3"] | None = None
+    compared: Callable[[], Relit] = _no_stages
 
     def forget(self) -> None:
         """Let go of the picture and its stages: the next frame needs the memory."""
         self.image, self.compared = None, _no_stages
-
-
-def _no_stages() -> Relit:
-    raise AssertionError("no stages are kept of this frame")
 
 
 def readable(scene: Scene, index: int) -> Frame | None:
@@ -119,7 +114,7 @@ def relit_frames(
     def relight_frame(seen: tuple[Frame, GBuffer]) -> RelitFrame:
         frame, gbuffer = seen
         if not np.asarray(gbuffer.hit).any():
-            return RelitFrame.without_surface(frame)
+            return RelitFrame(frame)
         stages = relighters[next(turns) % len(relighters)].stages(frame, gbuffer=gbuffer)
         image = clock.follow(stages, until="composite")
         return RelitFrame(frame, image, functools.partial(clock.follow, stages))
@@ -177,17 +172,10 @@ def relit_on_device(
                     features=features.shape[-1],
                     shadows=settings.shadows,
                     light=configuration.light,
-                    occluders=settings.shadow_occluders,
+                    occluders="surface" if settings.mode == "paper" else settings.occluders,
                     device=device,
                 )
         with clock("frame"):
             relit = renderer.relit(frame.image, frame.camera, features)
-        yield (
-            RelitFrame(frame, relit.image, functools.partial(_given, relit))
-            if renderer.sees_surface
-            else RelitFrame.without_surface(frame)
-        )
-
-
-def _given(relit: Relit) -> Relit:
-    return relit
+        whole = functools.partial(lambda known: known, relit)
+        yield RelitFrame(frame, relit.image, whole) if renderer.sees_surface else RelitFrame(frame)

@@ -27,11 +27,9 @@ def written_pictures(
         relit: all stages; None where the settings ask for none.
     """
     pictures = {"relit": image}
-    if relit is None:
-        return pictures
-    if settings.save_filters:
+    if relit is not None and settings.save_filters:
         pictures |= {"filter": relit.shading, "refined": relit.refined}
-    if settings.save_visibility:
+    if relit is not None and settings.save_visibility:
         pictures |= {"visibility": relit.visibility}
     return pictures
 

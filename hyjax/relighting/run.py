@@ -45,8 +45,7 @@ from hyjax.util.quick_programs import optimise_programs, quick_programs
 
 _log = logging.getLogger(__name__)
 SHEET_ROWS = 12
-FUSION_OPTIONS = tuple(field.name for field in dataclasses.fields(FusionSettings))
-SURFACE_OPTIONS = ("seed", "repair_mesh", "size", "scale", "strict", *FUSION_OPTIONS)
+SURFACE_OPTIONS = ("seed", "repair_mesh", "size", "scale", "strict", *FusionSettings.__dataclass_fields__)
 """Options of the opening of a scene, unknown of one that was opened before."""
 WARM_UP = DEPTH + 2
 """Frames that do not count for frames per second: the first compiles, and others are read meanwhile."""

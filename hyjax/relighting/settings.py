@@ -101,11 +101,6 @@ class RelightSettings(Settings):
         return found + ([] if self.renderer == "shadow_map" else [self.renderer])
 
     @property
-    def shadow_occluders(self) -> Occluders:
-        """Surface that throws shadows; the paper's mode knows the bare surface alone."""
-        return "surface" if self.mode == "paper" else self.occluders
-
-    @property
     def divides_photo_light(self) -> bool:
         """Whether the light that the frames were taken under is divided out."""
         return self.open_configuration().light.photo_light == "divided"
@@ -167,7 +162,6 @@ class RelightSettings(Settings):
 
 
 def _named_value(text: str) -> tuple[str, str]:
-    """Name and value of `name=value`."""
     name, equals, value = text.partition("=")
     if not equals:
         raise InputError(f"choices: {text!r} has no value; write NAME=VALUE, such as bounces=false")

@@ -170,9 +170,6 @@ def posed_pictures(capture: Capture, far: float) -> Iterator[Callable[[], dict[i
     """Pictures spread over a capture that have a depth map of their moment, by their positions.
 
     They are read on another thread during the block, which gets a function that waits for them.
-
-    Args:
-        far: metres beyond which no reading counts.
     """
     count = len(capture)
     again = spread(range(count), FRAME_COUNT)

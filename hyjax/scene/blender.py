@@ -104,7 +104,7 @@ class BlenderRenderer:
                 raise InputError(f"blender: cannot render a {type(light).__name__}; its kind has no emitter")
         with contextlib.ExitStack() as stack:
             self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hyjax-blender-")))
-            described = [_describe(emitter, self._center) for emitter in self._emitters]
+            described = [emitter and _describe(emitter, self._center) for emitter in self._emitters]
             faces, normals = np.asarray(mesh.faces), np.asarray(mesh.vertex_normals)
             moved = vertices - self._center
             np.savez(self._folder / "geometry.npz", vertices=moved, faces=faces, normals=normals)
@@ -119,10 +119,6 @@ class BlenderRenderer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End Blender and remove its files."""
         self._stack.close()
 
     def render(self, camera: Camera) -> Rendering:
@@ -228,10 +224,8 @@ def _process(python: str, folder: Path, log: Any) -> Any:
                 stream.close()
 
 
-def _describe(emitter: Emitter | None, center: Float[np.ndarray, "3"]) -> dict[str, Any] | None:
-    """Light in Blender's plain numbers, with places relative to `center`; None for one that is not traced."""
-    if emitter is None:
-        return None
+def _describe(emitter: Emitter, center: Float[np.ndarray, "3"]) -> Any:
+    """Light in Blender's plain numbers, with places relative to `center`."""
     entry = {key: value for key, value in vars(emitter).items() if value is not None}
     if emitter.position is not None:
         entry["position"] = emitter.position - center

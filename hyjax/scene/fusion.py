@@ -64,11 +64,7 @@ class FusionPlan:
 
 
 class Readings:
-    """Chosen depth maps of a capture, read on demand; damaged ones are left out with a line.
-
-    Args:
-        confidence: least confidence of a reading.
-    """
+    """Chosen depth maps of a capture, read on demand; damaged ones are left out with a line."""
 
     def __init__(self, capture: Capture, indices: Sequence[int], confidence: float) -> None:
         self._capture, self._indices, self._confidence = capture, indices, confidence
@@ -128,11 +124,7 @@ def plan_fusion(capture: Capture, settings: FusionSettings) -> FusionPlan:
 def fuse_capture(
     capture: Capture, plan: FusionPlan, *, checkpoint: Path | None = None, progress: bool = True
 ) -> trimesh.Trimesh:
-    """Fuse a capture's depth maps to a mesh.
-
-    Args:
-        checkpoint: file of a long fusion's state, from which a later call continues.
-    """
+    """Fuse a capture's depth maps to a mesh, see `fuse`."""
     frames = Readings(capture, plan.indices, plan.confidence)
     return fuse(
         frames,

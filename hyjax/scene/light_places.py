@@ -16,10 +16,10 @@ from hyjax.data.capture import Capture
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import Hits, RayCaster
 from hyjax.light.kinds import Aperture, Light, PointLight, RectLight, SkyLight
+from hyjax.photo_light.sources import Vector
 from hyjax.scene.seen_surface import SeenSurface
 from hyjax.util.vectors import fibonacci_sphere, perpendicular, reject, unit
 
-Vector = Float[np.ndarray, "3"]
 SURVEY_CAMERAS = 24
 """Most cameras of a survey."""
 SAME_PLACE = 0.02
@@ -180,7 +180,8 @@ def tell_made_up(name: str, anchors: LightAnchors, lights: Sequence[Light]) -> N
     for kind, places in anchors.made_up.items():
         used = [p for p in places if any(np.linalg.norm(p - center) < SAME_PLACE for center in centers[kind])]
         if used:
-            texts.append(f"{kind}{'s' * (len(used) > 1)} at " + ", ".join(map(_text, used)))
+            at = ", ".join("({:.1f}, {:.1f}, {:.1f})".format(*place) for place in used)
+            texts.append(f"{kind}{'s' * (len(used) > 1)} at {at}")
     if anchors.open_sky and any(isinstance(light, SkyLight) for light in lights):
         _log.warning(
             "%s: no wall for a window was found, and little is above; light from outside comes from an open sky",
@@ -189,10 +190,6 @@ def tell_made_up(name: str, anchors: LightAnchors, lights: Sequence[Light]) -> N
     if texts:
         made_up = " and ".join(texts)
         _log.warning("%s: made up: %s; if yours are elsewhere, give them with --photo-sources FILE", name, made_up)
-
-
-def _text(place: Vector) -> str:
-    return "({:.1f}, {:.1f}, {:.1f})".format(*place)
 
 
 def _stops(caster: RayCaster, seen: SeenSurface, eyes: Float[np.ndarray, "c 3"], up: Vector) -> list[Stop]:
@@ -219,8 +216,7 @@ def _stops(caster: RayCaster, seen: SeenSurface, eyes: Float[np.ndarray, "c 3"],
 
 def _nearest(eyes: Float[np.ndarray, "c 3"], mean: Vector) -> Vector:
     """Eye of a camera: their mean may lie in a wall."""
-    nearest: Vector = eyes[np.argmin(np.linalg.norm(eyes - mean, axis=1))]
-    return nearest
+    return eyes[np.argmin(np.linalg.norm(eyes - mean, axis=1))]
 
 
 def _together(caster: RayCaster, place: Vector, lamp: Vector, seen: Float[np.ndarray, "n 3"]) -> bool:
@@ -232,7 +228,6 @@ def _together(caster: RayCaster, place: Vector, lamp: Vector, seen: Float[np.nda
 
 
 def _has_lamp(caster: RayCaster, stop: Stop, lamps: Sequence[Vector]) -> bool:
-    """Whether a known lamp lights a stop."""
     for lamp in lamps:
         to = lamp - stop.lamp
         length = float(np.linalg.norm(to))
@@ -315,8 +310,7 @@ def _cleared(caster: RayCaster, lamp: Vector, viewer: Vector, up: Vector) -> Vec
     places = places[caster.cast(places, np.broadcast_to(-up, places.shape)).hit]
     places = np.vstack([lamp, places])
     missing = np.maximum(LAMP_CLEARANCE - _clearances(caster, places), 0.0)
-    chosen: Vector = places[np.argmin(np.linalg.norm(places - lamp, axis=1) + CLEARANCE_WEIGHT * missing)]
-    return chosen
+    return places[np.argmin(np.linalg.norm(places - lamp, axis=1) + CLEARANCE_WEIGHT * missing)]
 
 
 def _clearances(caster: RayCaster, places: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:

@@ -187,10 +187,7 @@ def _sun(
 ) -> list[DirectionalLight]:
     """Parallel light through the windows, or from the open sky, from where it falls into many pictures.
 
-    Args:
-        elevations: degrees above the horizon: the usual, the least and the most.
-        illuminance: in lux.
-        color: linear RGB.
+    Its elevations are in degrees above the horizon: the usual, the least and the most.
     """
     usual, least, most = elevations
     radius = np.deg2rad(SUN_DEGREES)

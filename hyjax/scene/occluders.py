@@ -41,19 +41,15 @@ def complete(mesh: "trimesh.Trimesh", detail: "trimesh.Trimesh | MeshArrays | No
     if detail is None:
         return closed
     parts = [trimesh.Trimesh(part.vertices, part.faces, process=False) for part in (closed, detail)]
-    whole: trimesh.Trimesh = trimesh.util.concatenate(parts)  # type: ignore[assignment]
-    return whole
+    return trimesh.util.concatenate(parts)  # type: ignore[return-value]
 
 
 def completed(mesh: MeshArrays, detail: MeshArrays | None = None) -> MeshArrays:
     """Occluders by `complete`, kept in the cache folder under a key of its arguments."""
 
     def make() -> Arrays:
-        completed_mesh = complete(mesh.mesh, detail)
-        return {
-            "vertices": np.asarray(completed_mesh.vertices),
-            "faces": np.asarray(completed_mesh.faces, np.int32),
-        }
+        whole = complete(mesh.mesh, detail)
+        return {"vertices": np.asarray(whole.vertices), "faces": np.asarray(whole.faces, np.int32)}
 
     key = digest([str(VERSION), str(LONGEST_GAP), mesh.key, "" if detail is None else detail.key])
     return cached_arrays(cache_folder() / f"occluders-{key}.npz", MeshArrays.stored, make)
@@ -68,9 +64,8 @@ def fine_detail(capture: Capture, source: str | None, seed: int = 0, progress: b
     """
     if source is None:
         source = "scan" if capture.has_reference else "captured"
-    if source not in ("scan", "captured") or not (source == "scan" or capture.has_mesh):
-        return None
-    if not capture.depth_count:
+    coarse = source == "scan" or (source == "captured" and capture.has_mesh)
+    if not (coarse and capture.depth_count):
         return None
     try:
         if source == "scan":

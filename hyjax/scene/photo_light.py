@@ -196,7 +196,6 @@ class ScenePhotoLight:
 
     @property
     def _file(self) -> Path:
-        """Cache file of the estimate."""
         return cache_folder() / f"photo-light-v{VERSION}-{self._key}.npz"
 
     @functools.cached_property

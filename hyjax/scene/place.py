@@ -20,6 +20,9 @@ from hyjax.light.view import View
 from hyjax.scene.settings import Occluders
 from hyjax.util.programs import run_kept
 
+AnyLights = LightSetup | Sequence[Light] | str | Path
+"""A set-up, lights, or the name or file of a set-up."""
+
 
 class Place(Protocol):
     """Frames and the surface that they show: a `Scene`, a growing `LiveScene`, or a tour's `Arrangement`."""
@@ -47,9 +50,7 @@ class Place(Protocol):
         """Surface points seen by a camera."""
         ...
 
-    def lights(
-        self, lights: LightSetup | Sequence[Light] | str | Path, *, at_photo_sources: bool = False
-    ) -> LightSetup:
+    def lights(self, lights: AnyLights, *, at_photo_sources: bool = False) -> LightSetup:
         """Light set-up in this place."""
         ...
 

@@ -29,7 +29,7 @@ from hyjax.light.shaded import Shaded
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
 from hyjax.pipeline import TemporalFilter, relight_stages
-from hyjax.scene.place import Place, camera_view, view_of
+from hyjax.scene.place import AnyLights, Place, camera_view, view_of
 from hyjax.scene.point_lux import point_lux
 from hyjax.scene.settings import Occluders
 from hyjax.util.arguments import checked_arguments
@@ -129,7 +129,7 @@ class Relighter:
     def __init__(
         self,
         place: Place,
-        lights: LightSetup | Sequence[Light] | str | Path,
+        lights: AnyLights,
         configuration: Configuration | Schedule | str | Path | None = None,
         *,
         guide: FrameGuide | None = None,
@@ -232,8 +232,7 @@ class Relighter:
     @checked_arguments
     def lit(self, frame: int | Frame, *, gbuffer: GBuffer | None = None) -> LitFrame:
         """All that the refinement of a frame takes. Arguments: see `stages`."""
-        lit: LitFrame = StageClock().follow(self._lit_stages(frame, gbuffer))
-        return lit
+        return StageClock().follow(self._lit_stages(frame, gbuffer))
 
     def _lit_stages(self, frame: int | Frame, gbuffer: GBuffer | None = None, view: View | None = None) -> Stages:
         """Stages up to a `LitFrame`."""
@@ -262,7 +261,6 @@ class Relighter:
         yield "guide", LitFrame(view, shaded, features, full, self._on_device(edges))
 
     def _view(self, frame: Frame, gbuffer: GBuffer) -> View:
-        """View at the configuration's scale."""
         scale = self.scale(frame.camera)
         if scale == 1:
             return self._on_device(view_of(frame, gbuffer))
@@ -271,8 +269,7 @@ class Relighter:
 
     def _on_device(self, arrays: T) -> T:
         """Arrays on the device of this relighter, where it has one of its own."""
-        moved: T = arrays if self._device is None else jax.device_put(arrays, self._device)
-        return moved
+        return arrays if self._device is None else jax.device_put(arrays, self._device)
 
     def _shade_stages(self, view: View, sampling: int | None = None) -> Stages:
         _, setup, maps, light = self._light()
@@ -307,7 +304,6 @@ class Relighter:
         return tuple(shadow_map if casts else None for shadow_map, casts in zip(maps, casting, strict=True))
 
     def _surface_light(self) -> SurfaceLight:
-        """Photo's light and bounces on the surface."""
         light = self.place.surface_light(self.setup, shadows=self._shadows, occluders=self._occluders)
         return configured_light(light, self.configuration)
 

@@ -30,7 +30,7 @@ from hyjax.scene.light_places import LightAnchors, survey_capture
 from hyjax.scene.light_setups import check_setup_name, named_setup, placed_setup
 from hyjax.scene.occluders import completed, fine_detail
 from hyjax.scene.photo_light import ScenePhotoLight
-from hyjax.scene.place import view_of
+from hyjax.scene.place import AnyLights, view_of
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.settings import Occluders, SceneSettings, parse_size
 from hyjax.scene.surfaces import SURFACE_ERROR, surface_arrays, will_fuse
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     import trimesh
 
 UNIT_TOLERANCE = 1e-3
-AnyLights = LightSetup | Sequence[Light] | str | Path
 AnyConfiguration = Configuration | Schedule | str | Path | None
 
 
@@ -94,7 +93,7 @@ class Scene:
         self.capture, self.size, self.source, self._sources_file = capture, size, source, photo_sources
         self.caster = RayCaster(mesh)
         self._anchors: dict[bool, LightAnchors] = {}
-        self.slack, self._detail, self._completed = slack, detail, None if slack is not None else self.caster
+        self.slack, self._detail = slack, detail
         self.kept_maps, self.maps_on_disk, self._progress = KeptMaps(), True, progress
         self.settings: SceneSettings | None = None
 
@@ -238,14 +237,13 @@ class Scene:
             self._anchors[found] = survey_capture(self.caster, self.capture, known)
         return self._anchors[found]
 
-    @property
+    @functools.cached_property
     def occluders(self) -> RayCaster:
-        """The mesh that throws shadows: the surface, completed."""
-        if self._completed is None:
-            detail = self._detail()
-            finer = None if detail is None else MeshArrays.of(detail)
-            self._completed = RayCaster(completed(self.caster.arrays, finer))
-        return self._completed
+        """The mesh that throws shadows: the surface, completed unless it is exact."""
+        if self.slack is None:
+            return self.caster
+        detail = self._detail()
+        return RayCaster(completed(self.caster.arrays, None if detail is None else MeshArrays.of(detail)))
 
     @checked_arguments
     def shadow_maps(

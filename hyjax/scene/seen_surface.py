@@ -87,18 +87,18 @@ class SeenSurface:
         offset = self.points - t[:, None] * travel - center
         inside = (np.abs(offset @ right) <= right @ right) & (np.abs(offset @ up) <= up @ up)
         lit = (t > 0) & inside & (self.normals @ travel < -0.05)
-        lit[lit] = ~self._blocked(lit, -travel[None] * np.maximum(t[lit] - OFFSET, 0.0)[:, None])
+        lit[lit] = ~self.chosen(lit)._blocked(-travel[None] * np.maximum(t[lit] - OFFSET, 0.0)[:, None])
         return lit
 
     def reached_along(self, travel: Float[np.ndarray, "3"]) -> Bool[np.ndarray, "n"]:
         """Points that parallel light along `travel` reaches from anywhere."""
         lit = self.normals @ travel < -0.05
-        lit[lit] = self._open(lit, -travel)
+        lit[lit] = self.chosen(lit)._open(-travel)
         return lit
 
     def under_open_sky(self, up: Float[np.ndarray, "3"]) -> float:
         """Share of the points that have nothing above them."""
-        return float(self._open(np.ones(len(self.points), bool), up).mean())
+        return float(self._open(up).mean())
 
     def lux(self, lights: Sequence[Light]) -> Float[np.ndarray, "n l"]:
         """Illuminance of lights on the points, with shadows; times the strongest channels of their colours."""
@@ -121,7 +121,6 @@ class SeenSurface:
         return free / np.maximum(given, 1e-9)
 
     def _reached(self, light: Light) -> Bool[np.ndarray, "n"]:
-        every = np.ones(len(self.points), bool)
         if isinstance(light, DirectionalLight) and light.aperture is not None:
             return self.reached_through(light.aperture, np.asarray(light.direction, float))
         if isinstance(light, DirectionalLight):
@@ -130,18 +129,17 @@ class SeenSurface:
             to = np.asarray(light.position, float) - self.points
             length = np.linalg.norm(to, axis=1, keepdims=True)
             clear = float(light.clearance) + float(light.radius)
-            return ~self._blocked(every, to * np.maximum(1.0 - clear / np.maximum(length, 1e-6), 0.0))
+            return ~self._blocked(to * np.maximum(1.0 - clear / np.maximum(length, 1e-6), 0.0))
         if isinstance(light, RectLight):
-            return ~self._blocked(every, 0.97 * (np.asarray(light.center, float) - self.points))
-        return every
+            return ~self._blocked(0.97 * (np.asarray(light.center, float) - self.points))
+        return np.ones(len(self.points), bool)
 
-    def _open(self, chosen: Bool[np.ndarray, "n"], toward: Float[np.ndarray, "3"]) -> Bool[np.ndarray, "m"]:
-        """Whether nothing stands before points in a direction."""
-        return ~self._blocked(chosen, np.tile(FAR * toward, (int(chosen.sum()), 1)))
+    def _open(self, toward: Float[np.ndarray, "3"]) -> Bool[np.ndarray, "n"]:
+        """Whether nothing stands before the points in a direction."""
+        return ~self._blocked(np.tile(FAR * toward, (len(self.points), 1)))
 
-    def _blocked(self, chosen: Bool[np.ndarray, "n"], to: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, "m"]:
-        start = self.points[chosen] + OFFSET * self.normals[chosen]
-        return self.caster.occluded(start, to, 1.0)
+    def _blocked(self, to: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+        return self.caster.occluded(self.points + OFFSET * self.normals, to, 1.0)
 
 
 def _quantile(values: Float[np.ndarray, "n"], quantile: float) -> Any:

@@ -1,6 +1,5 @@
 """Surface of a capture: a file, the device's own mesh, a fusion, a simulated scan or the true one."""
 
-import hashlib
 import logging
 from collections.abc import Callable
 from pathlib import Path
@@ -205,8 +204,7 @@ def _slack(coverage: "Coverage") -> float:
 
 def kept(description: str, capture: Capture, make: "Callable[[], trimesh.Trimesh]") -> MeshArrays:
     """Mesh from the cache folder, or made and kept there, under its description and the capture."""
-    key = hashlib.sha256(f"{VERSION} {description} {capture.fingerprint}".encode()).hexdigest()[:16]
-    file = cache_folder() / f"surface-{key}.npz"
+    file = cache_folder() / f"surface-{digest([f'{VERSION} {description} {capture.fingerprint}'])}.npz"
     return cached_arrays(file, MeshArrays.stored, lambda: MeshArrays.of(make()).to_store())
 
 

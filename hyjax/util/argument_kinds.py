@@ -69,11 +69,7 @@ class Kind:
     anything: bool = False
 
     def __call__(self, name: str, value: Any, seen: "Seen") -> Any:
-        """Value to pass on: as it is, or converted.
-
-        Args:
-            value: that was given.
-        """
+        """Value to pass on: as it is, or converted."""
         if self.anything:
             return value
         if isinstance(value, np.ndarray) and not self.on_host:

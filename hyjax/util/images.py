@@ -21,6 +21,7 @@ from hyjax.util.picture_header import check_packing, check_picture, check_size
 
 NO_DATE = "1970:01:01 00:00:00"
 """Date in an EXR, which otherwise has the time of writing: equal pictures are equal files."""
+NO_DETAIL = "no further detail"
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 PNG_LEVEL, PNG_FILTER = 1, 32
 """Compression of PNG, and its filter, the row above: much faster than the usual 6 with the best filter of each row,
@@ -76,7 +77,7 @@ def _opened(path: Path, where: str) -> Iterator[Any]:
     try:
         source = oiio.ImageInput.open(str(path))
         if source is None:
-            raise InputError(f"{where}: not a readable picture ({_first_line(_error(oiio))})")
+            raise InputError(f"{where}: not a readable picture ({_error(oiio) or NO_DETAIL})")
         spec = source.spec()
         check_size(max(spec.width, spec.tile_width), max(spec.height, spec.tile_height), spec.nchannels, where)
         check_packing(spec.width, spec.height, path.stat().st_size, where)
@@ -104,7 +105,7 @@ def _read(path: Path, where: str | None, only: str | None = None, *, in_srgb: bo
         profile = source.spec().get("ICCProfile") if in_srgb and stored == "uint8" else None
     # A truncated JPEG is padded with grey and only reported as an error, so the error decides, not the pixels.
     if pixels is None or error:
-        raise InputError(f"{where}: damaged or truncated picture ({_first_line(error)})")
+        raise InputError(f"{where}: damaged or truncated picture ({error or NO_DETAIL})")
     if profile is None:
         return pixels
     from hyjax.util.color_profiles import to_srgb  # few pictures have one
@@ -178,15 +179,15 @@ def _write(path: Path, pixels: np.ndarray, kind: str, attributes: dict[str, str 
         target = oiio.ImageOutput.create(str(temporary))
         if target is None or not target.open(str(temporary), spec):
             temporary.open("r+b").close()  # the system's reason, which OpenImageIO does not give of a PNG
-            complaint = _error(oiio if target is None else target)
-            raise InputError(f"{path}: cannot write ({_first_line(complaint).replace(str(temporary), str(path))})")
+            complaint = _error(oiio if target is None else target) or NO_DETAIL
+            raise InputError(f"{path}: cannot write ({complaint.replace(str(temporary), str(path))})")
         written = target.write_image(np.ascontiguousarray(pixels))
         closed = target.close()
         complaint = _error(target)
         if complaint or not (written and closed and _has_its_end(temporary)):
             full = shutil.disk_usage(path.parent).free < pixels.nbytes
             number, text = errno.ENOSPC if full else errno.EIO, complaint or "not all of it was written"
-            raise OSError(number, _first_line(text.replace(str(temporary), str(path))))
+            raise OSError(number, text.replace(str(temporary), str(path)))
 
 
 def _has_its_end(path: Path) -> bool:
@@ -207,16 +208,11 @@ def _has_its_end(path: Path) -> bool:
 
 
 def _error(where: Any) -> str:
-    """Error message of OpenImageIO or of its file; it may quote a damaged file's bytes."""
+    """First line of OpenImageIO's error message, or its file's, which may quote a damaged file's bytes; or none."""
     try:
-        return str(where.geterror())
+        return next((line.strip() for line in str(where.geterror()).splitlines() if line.strip()), "")
     except UnicodeDecodeError:
         return "damaged"
-
-
-def _first_line(text: str) -> str:
-    lines = [line.strip() for line in text.strip().splitlines() if line.strip()]
-    return lines[0] if lines else "no further detail"
 
 
 def resize(pixels: Float[np.ndarray, "h w c"], height: int, width: int) -> Float[np.ndarray, "height width c"]:

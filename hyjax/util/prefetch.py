@@ -67,10 +67,8 @@ def background_writer(depth: int = DEPTH, threads: int = 1) -> Iterator[Callable
         yield later
         while waiting:
             waiting.popleft().result()
-    except Exception:
-        raise
-    except BaseException:
-        interrupted = True
+    except BaseException as error:
+        interrupted = not isinstance(error, Exception)
         raise
     finally:
         pool.shutdown(wait=True, cancel_futures=interrupted)

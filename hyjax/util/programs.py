@@ -18,7 +18,7 @@ import platform
 import re
 import secrets
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Generic, ParamSpec, TypeVar
 
@@ -116,7 +116,7 @@ class KeptFunction(Generic[P, T]):
         static, tree, *shapes = key
         given = {} if static is None or self._static is None else {self._static: static}
         function = functools.partial(self._function, **given)
-        if _folder is None or len(jax.local_devices()) > 1 or not all(map(_is_known, _node_types(tree))):
+        if _folder is None or len(jax.local_devices()) > 1 or not _is_known(tree):
             return functools.partial(self._jitted, **given)
         signature = repr((static, str(tree), [(shape, str(dtype)) for shape, dtype in shapes]))
         here = f"{self._name}-{_surroundings()}"
@@ -193,8 +193,7 @@ def _kept(function: Callable[..., Any], static: dict[str, Any]) -> KeptFunction[
     with _lock:
         if function not in _functions:
             _functions[function] = KeptFunction(function, next(iter(static), None))
-        kept: KeptFunction[..., Any] = _functions[function]
-        return kept
+        return _functions[function]
 
 
 def _lowered(function: Callable[..., Any], name: str, args: Any, kwargs: Any) -> jax.stages.Lowered:
@@ -277,16 +276,11 @@ def _write(file: Path, compiled: jax.stages.Compiled) -> None:
         part.write_bytes(hashlib.sha256(content).digest() + content)
 
 
-def _node_types(tree: Any) -> Iterator[type]:
+def _is_known(tree: Any) -> bool:
+    """Whether all classes in a tree are Python's or this package's."""
     data = tree.node_data()
-    if data is not None:
-        yield data[0]
-    for child in tree.children():
-        yield from _node_types(child)
-
-
-def _is_known(node: type) -> bool:
-    return node.__module__.split(".")[0] in ("builtins", "hyjax")
+    known = data is None or data[0].__module__.split(".")[0] in ("builtins", "hyjax")
+    return known and all(map(_is_known, tree.children()))
 
 
 def _tell_of_others(folder: Path, name: str, here: str) -> None:

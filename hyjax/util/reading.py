@@ -170,8 +170,8 @@ def parse_json(text: str | bytes, where: str, *, only_finite: bool = False) -> A
     if _depth(value) > DEEPEST_NESTING:
         raise InputError(f"{where}: lists and mappings more than {DEEPEST_NESTING} deep")
     if HALF_LETTER.search(text):
-        for each in _texts(value):
-            _check_letters(each, where)
+        for part, _ in _parts(value):
+            _check_letters(part, where)
     return value
 
 
@@ -224,41 +224,33 @@ def _of_64_bits(number: int, where: str) -> int:
 
 
 def _check_values(value: Any, where: str) -> None:
-    left, count = [(value, 1)], 0
-    while left:
-        inner, depth = left.pop()
-        count += 1
+    for count, (part, depth) in enumerate(_parts(value), start=1):
         if count > MOST_NODES or depth > DEEPEST_NESTING:  # a list that holds itself is as deep as one likes
             raise InputError(f"{where}: aliases that stand for over {MOST_NODES} values")
-        if isinstance(inner, dict):
-            left += [(part, depth + 1) for pair in inner.items() for part in pair]
-        elif isinstance(inner, list | tuple | set):
-            left += [(part, depth + 1) for part in inner]
-        elif isinstance(inner, int):
-            _of_64_bits(inner, where)
-        elif isinstance(inner, str):
-            _check_letters(inner, where)
+        if isinstance(part, int):
+            _of_64_bits(part, where)
+        _check_letters(part, where)
 
 
-def _check_letters(text: str, where: str) -> None:
-    """Raise `InputError` for half of a pair of surrogates, which no file can hold."""
+def _check_letters(value: Any, where: str) -> None:
+    """Raise `InputError` for a text with half of a pair of surrogates, which no file can hold."""
     try:
-        text.encode()
+        if isinstance(value, str):
+            value.encode()
     except UnicodeEncodeError:
         raise InputError(f"{where}: a text with half a letter (a lone surrogate)") from None
 
 
-def _texts(value: Any) -> Iterator[str]:
-    """Texts within lists and mappings, keys among them."""
-    left = [value]
+def _parts(value: Any) -> Iterator[tuple[Any, int]]:
+    """A value and all in its lists and mappings, keys among them, each with its depth."""
+    left = [(value, 1)]
     while left:
-        part = left.pop()
-        if isinstance(part, str):
-            yield part
-        elif isinstance(part, list):
-            left += part
-        elif isinstance(part, dict):
-            left += [*part, *part.values()]
+        part, depth = left.pop()
+        yield part, depth
+        if isinstance(part, dict):
+            left += [(each, depth + 1) for pair in part.items() for each in pair]
+        elif isinstance(part, list | tuple | set):
+            left += [(each, depth + 1) for each in part]
 
 
 def _depth(value: Any) -> int:

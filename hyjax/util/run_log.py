@@ -44,11 +44,7 @@ class RunLog:
 
 
 def read_lines(path: Path, is_line: Callable[[Line], object], what: str) -> list[Line]:
-    """Read the whole lines of a file; the last one may have been cut off by a crash and is then left out.
-
-    Args:
-        is_line: whether an object is a line of such a file.
-    """
+    """Read the whole lines of a file; the last one may have been cut off by a crash and is then left out."""
     texts = read_bytes(path).splitlines()
     lines: list[Line] = []
     for number, text in enumerate(texts, start=1):

@@ -19,31 +19,22 @@ class Settings:
                 known = [str(word) for word in typing.get_args(hint)]
                 guess = did_you_mean(str(value), known)
                 raise InputError(f"{name}: {value!r} is unknown{guess}; use one of {', '.join(known)}")
+            for each in value if isinstance(value, tuple) else (value,):
+                if isinstance(each, bool) and bool not in _kinds(hint):
+                    raise InputError(f"{name.replace('_', ' ')}: must be a number, got {each}")
             # Most fields have their default, or are plainly of their type: typeguard takes a while to load.
-            if isinstance(value, int | float | tuple):
-                _check_numbers(name, value, hint)
             default = value is getattr(type(self), name, dataclasses.MISSING)
-            if not (default or _is_plain(value, hint) or _is_of_type(value, hint)):
+            plain = isinstance(value, tuple(kind for kind in _kinds(hint) if isinstance(kind, type)))
+            if not (default or plain or _is_of_type(value, hint)):
                 wanted = str(getattr(hint, "__name__", hint) if isinstance(hint, type) else hint)
                 wanted = wanted.replace("pathlib._local.", "").replace("pathlib.", "").replace("typing.", "")
                 raise InputError(f"{name.replace('_', ' ')}: must be {wanted}, got {value!r:.80}")
             object.__setattr__(self, name, value)
 
 
-def _check_numbers(name: str, value: Any, hint: Any) -> None:
-    """Raise `InputError` for True or False in the place of a number."""
-    for each in value if isinstance(value, tuple) else (value,):
-        if isinstance(each, bool) and bool not in _kinds(hint):
-            raise InputError(f"{name.replace('_', ' ')}: must be a number, got {each}")
-
-
 def _kinds(hint: Any) -> set[Any]:
     """A type, and the members of a union."""
     return {hint, *typing.get_args(hint)} if typing.get_origin(hint) in (None, types.UnionType) else {hint}
-
-
-def _is_plain(value: Any, hint: Any) -> bool:
-    return isinstance(value, tuple(kind for kind in _kinds(hint) if isinstance(kind, type)))
 
 
 def _is_of_type(value: Any, hint: Any) -> bool:

@@ -108,7 +108,7 @@ def usage_error(box: str, command: str = "") -> str:
         'Unrecognized options: --lihgt; perhaps --lights; see hyjax tune --help'
     """
     rows = [row.strip("│ ") for row in box.splitlines()]
-    groups = itertools.groupby(rows[1:], key=_is_rule)  # below the title
+    groups = itertools.groupby(rows[1:], key=lambda row: not row.strip("╰╯─-"))  # below the title
     said, *more = [" ".join(texts) for is_rule, texts in groups if not is_rule]
     line = one_line(said, LONGEST_USAGE_ERROR).rstrip(".")
     if parsed := VALUE_PATTERN.search(said):
@@ -126,7 +126,3 @@ def usage_error(box: str, command: str = "") -> str:
             names = text.partition(":")[2].replace(",", " ").split()
             return f"{shown(command)}: no such command{did_you_mean(command, names)}; there are {', '.join(names)}"
     return f"{line}; see hyjax {command}{' ' * bool(command)}--help"
-
-
-def _is_rule(row: str) -> bool:
-    return not row.strip("╰╯─-")

@@ -21,7 +21,7 @@ from hyjax.core.schedule import Schedule
 from hyjax.data.builtin_room import RoomCapture
 from hyjax.data.capture import Capture
 from hyjax.data.registry import open_capture
-from hyjax.geometry.mesh import drop_faces
+from hyjax.geometry.mesh import submesh
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.setup import LightSetup
 from hyjax.util.errors import InputError
@@ -34,7 +34,7 @@ def scan(room: RoomCapture, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The room with a tenth of its triangles missing for ARKit's mesh, and laser scans of the whole."""
     torn = np.random.default_rng(0).random(len(room.reference().faces)) < 0.1
     folder = tmp_path_factory.mktemp("arkit")
-    made = export_arkit_scan(folder / "raw" / "Training", room, drop_faces(room.reference(), torn))
+    made = export_arkit_scan(folder / "raw" / "Training", room, submesh(room.reference(), ~torn))
     splits = f"video_id,visit_id,fold\n{made.name},467138,Training\n"
     (folder / "raw" / "raw_train_val_splits.csv").write_text(splits)
     stands = []

@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import math
 import typing
-from collections.abc import Hashable, Iterator
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ NO_BOUNDS = FileKey("", "any")
 def check_fields(thing: Any, keys: tuple[FileKey, ...], name: str) -> None:
     """Raise `InputError` for an invalid number or vector of a light. Traced values are let through."""
     bounds = {key.field or key.name: key for key in keys}
-    for field, shape in _shapes(thing.__class__):
+    for field, shape in _shapes(thing.__class__).items():
         value, where = getattr(thing, field), f"{name}.{field}"
         if shape is None:
             if dataclasses.is_dataclass(value):
@@ -58,16 +57,13 @@ def _check_bounds(known: np.ndarray, key: FileKey, where: str, *, is_color: bool
 
 
 @functools.cache
-def _shapes(cls: Hashable) -> tuple[tuple[str, tuple[int, ...] | None], ...]:
-    """Shapes of the fields that are numbers or vectors."""
-    return tuple(_field_shapes(cls))
-
-
-def _field_shapes(cls: Any) -> Iterator[tuple[str, tuple[int, ...] | None]]:
-    hints = typing.get_type_hints(cls)
+def _shapes(cls: Any) -> dict[str, tuple[int, ...] | None]:
+    """Shapes of the fields that are numbers or vectors; None for others."""
+    hints, shapes = typing.get_type_hints(cls), dict[str, tuple[int, ...] | None]()
     for field in dataclasses.fields(cls):
         hint = hints[field.name]
         arrays = [part for part in (hint, *typing.get_args(hint)) if hasattr(part, "dim_str")]
         sides = arrays[0].dim_str.split() if arrays else []
         if all(side.isdecimal() for side in sides):  # a shape with names is the kind's own matter
-            yield field.name, tuple(map(int, sides)) if arrays else None
+            shapes[field.name] = tuple(map(int, sides)) if arrays else None
+    return shapes
