@@ -1,6 +1,7 @@
 """Table of the choices."""
 
 import dataclasses
+import functools
 from typing import TYPE_CHECKING, Literal
 
 from hyjax.choices.choice import OTHER_RENDERERS, Choice, Tried, Values
@@ -23,10 +24,6 @@ def _learned(values: Values) -> bool:
     return values["guide"] not in ("none", "rgb")
 
 
-def _shadowed(values: Values) -> bool:
-    return values["shadow_pass"] != NO_STEPS
-
-
 def _divided(values: Values) -> bool:
     return values["photo_light"] == "divided"
 
@@ -47,6 +44,8 @@ _KAPPA, _LAM, _SHADOW_KAPPA = (Tried(x, scale="log") for x in ((0.005, 0.5), (0.
 PARTS = ("light", "shadows", "guide")
 """Parts of a configuration that have options."""
 CASCADES = "schedule", "shadow_schedule"  # of which a choice is one number or word
+_followed = functools.partial(Choice, said=())
+"""Row of a choice that renderers follow, but for those that refuse it."""
 CHOICES: dict[str, Choice] = {}
 """Table of all choices by name, each after those that it depends on."""
 
@@ -64,10 +63,6 @@ def register_choice(choice: Choice) -> None:
     low, high = choice.bounds or (choice.default, choice.default)
     if choice.default is not None and not low <= choice.default <= high:
         raise InputError(f"choices: {choice.name}: its default {choice.default} is not within {low} to {high}")
-    _add(choice)
-
-
-def _add(choice: Choice) -> None:
     for other in CHOICES.values():
         if choice.name == other.name or choice.field == other.field:
             raise InputError(f"choices: {choice.name!r} ({choice.field}) is there already")
@@ -89,13 +84,12 @@ def options_of(part: str) -> dict[str, Choice]:
 
 
 for _row in (
-    Choice(
+    _followed(
         "mode",
         "mode",
         Literal["linear", "paper"],
         "linear",
         "Multiply linear light, with holes filled; or exactly the paper: display values, holes black.",
-        said=(),
         refused=(*OTHER_RENDERERS, "file", "video"),
     ),
     Choice(
@@ -109,7 +103,7 @@ for _row in (
         said=("page",),
         refused=("webgpu", "blender", "video"),
     ),
-    Choice(
+    _followed(
         "sampling",
         "light.sampling",
         int,
@@ -117,9 +111,8 @@ for _row in (
         "Side, in pixels, of the blocks with light at one pixel each, as far as the schedules average over blocks.",
         bounds=(1, 16),
         tried=Tried((1, 2, 4), scale="ordered"),
-        said=(),
     ),
-    Choice(
+    _followed(
         "cascade",
         "schedule.steps",
         str,
@@ -127,9 +120,8 @@ for _row in (
         "Levels of the cascade for the light, coarse to fine, as factor:steps.",
         tried=Tried((16, 8, 4, 2), scale="steps"),
         paper=Tried((16, 8, 4, 2), "16:10 8:15 4:25 2:30", "steps"),
-        said=(),
     ),
-    Choice(
+    _followed(
         "shadow_pass",
         "shadow_schedule.steps",
         str,
@@ -137,7 +129,6 @@ for _row in (
         "Levels of the cascade for the visibility; none leaves the shadow pass out.",
         tried=Tried((4, 2, 1), scale="steps"),
         paper=Tried((4, 2, 1), "1:8", "steps"),
-        said=(),
     ),
     Choice(
         "guide",
@@ -169,7 +160,7 @@ for _row in (
         active=_learned,
         said=(*OTHER_RENDERERS, "frames"),
     ),
-    Choice(
+    _followed(
         "pooling",
         "schedule.pooling",
         Literal["guide", "edges"],
@@ -178,9 +169,8 @@ for _row in (
         tried=Tried(("guide", "edges")),
         paper=Tried(("edges", "guide"), "edges"),
         active=_guided,
-        said=(),
     ),
-    Choice(
+    _followed(
         "upsampling",
         "schedule.upsampling",
         Literal["guide", "bilinear"],
@@ -188,9 +178,8 @@ for _row in (
         "From level to level along the guide, or bilinear.",
         tried=Tried(("guide", "bilinear")),
         active=_guided,
-        said=(),
     ),
-    Choice(
+    _followed(
         "norm",
         "schedule.norm",
         str,
@@ -199,9 +188,8 @@ for _row in (
         tried=Tried(_NORMS),
         paper=Tried(_NORMS),
         active=_guided,
-        said=(),
     ),
-    Choice(
+    _followed(
         "kappa",
         "schedule.kappa",
         float,
@@ -211,9 +199,8 @@ for _row in (
         tried=_KAPPA,
         paper=dataclasses.replace(_KAPPA, start=PAPER_KAPPA),
         active=_guided,
-        said=(),
     ),
-    Choice(
+    _followed(
         "lam",
         "schedule.lam",
         float,
@@ -222,18 +209,16 @@ for _row in (
         label="λ",
         tried=_LAM,
         paper=_LAM,
-        said=(),
     ),
-    Choice(
+    _followed(
         "data_term",
         "schedule.data_term",
         bool,
         True,
         "Whether steps hold on to the cell means of their level.",
         tried=Tried((True, False)),
-        said=(),
     ),
-    Choice(
+    _followed(
         "fidelity",
         "schedule.fidelity",
         float,
@@ -242,9 +227,8 @@ for _row in (
         label="α",
         tried=Tried((0.01, 3.0), scale="log"),
         active=lambda values: values["data_term"],
-        said=(),
     ),
-    Choice(
+    _followed(
         "shadow_kappa",
         "shadow_schedule.kappa",
         float,
@@ -253,8 +237,7 @@ for _row in (
         label="shadow κ",
         tried=_SHADOW_KAPPA,
         paper=_SHADOW_KAPPA,
-        active=lambda values: _guided(values) and _shadowed(values),
-        said=(),
+        active=lambda values: _guided(values) and values["shadow_pass"] != NO_STEPS,
     ),
     Choice(
         "map_scale",
@@ -347,4 +330,4 @@ for _row in (
         use=_gained,
     ),
 ):
-    _add(_row)
+    CHOICES[_row.name] = _row

@@ -74,14 +74,16 @@ def ladders(
     """Levels of both cascades, with the numbers of their sliders."""
 
     def row(level: Level, most: int) -> dict[str, float | int | None]:
-        sizes = np.asarray(level.step_sizes, np.float64)
         alpha = None if level.fidelity is None else float(np.asarray(level.fidelity))
-        lam = float(np.median(sizes)) if len(sizes) else DEFAULT_LAM
-        kappa = float(np.asarray(level.kappa))
-        found = {"factor": level.factor, "steps": level.steps, "kappa": kappa, "lam": lam, "fidelity": alpha}
-        return found | {"most_steps": most}
+        numbers = {"kappa": float(np.asarray(level.kappa)), "lam": _lam(level), "fidelity": alpha}
+        return {"factor": level.factor, "steps": level.steps, **numbers, "most_steps": most}
 
     return {part: [*map(row, getattr(configuration, part).levels, ends[part])] for part in CASCADES}
+
+
+def _lam(level: Level) -> float:
+    """Middle one of a level's step sizes."""
+    return float(np.median(np.asarray(level.step_sizes, np.float64))) if level.steps else DEFAULT_LAM
 
 
 def with_choice(configuration: Configuration, name: str, value: Any) -> Configuration:
@@ -106,7 +108,6 @@ def with_level(configuration: Configuration, part: str, index: int, key: str, va
     """Configuration with another number of one level of a cascade.
 
     Args:
-        configuration: to be changed.
         value: the number; of a fidelity also None.
     """
     levels = list(getattr(configuration, part).levels) if part in CASCADES else []
@@ -116,14 +117,12 @@ def with_level(configuration: Configuration, part: str, index: int, key: str, va
     if not number and not (value is None and key == "fidelity"):
         raise InputError(f"{part}, factor {levels[index].factor}, {key}: must be a number, got {shown(value)}")
     level = levels[index]
-    lam = np.asarray(level.step_sizes, np.float32)
-    usual = np.median(lam) if len(lam) else np.float32(DEFAULT_LAM)
     if key == "steps":
         if not 0 <= value <= 1000 or value != int(value):
             raise InputError(f"{part}, factor {level.factor}, steps: must be 0 to 1000, got {shown(value)}")
-        changed: Any = {"step_sizes": np.full(int(value), usual, np.float32)}
+        changed: Any = {"step_sizes": np.full(int(value), _lam(level), np.float32)}
     elif key == "lam":
-        changed = {"step_sizes": np.full(len(lam), value, np.float32)}
+        changed = {"step_sizes": np.full(level.steps, value, np.float32)}
     else:
         changed = {key: None if value is None else np.float32(value)}
     levels[index] = dataclasses.replace(level, **changed)
@@ -142,9 +141,8 @@ def with_steps(schedule: Schedule, text: Any) -> Schedule:
         levels = []
         for factor, steps in pairs:
             near = min(schedule.levels, key=lambda level: abs(np.log(level.factor / factor)))
-            lam = np.asarray(near.step_sizes, np.float32)
-            size = np.median(lam) if len(lam) else np.float32(DEFAULT_LAM)
-            levels.append(dataclasses.replace(near, factor=factor, step_sizes=np.full(steps, size, np.float32)))
+            sizes = np.full(steps, _lam(near), np.float32)
+            levels.append(dataclasses.replace(near, factor=factor, step_sizes=sizes))
     except (ValueError, ZeroDivisionError, MemoryError):
         raise InputError(f"cascade: levels must be as '16:3 8:4' (factor:steps), got {shown(text)}") from None
     return dataclasses.replace(schedule, levels=tuple(levels)).check()

@@ -32,7 +32,6 @@ def changed_lamp(setup: LightSetup, camera: Camera, index: Any, kind: str, value
     """Set-up with another strength of a light, or another place, at its distance from the camera.
 
     Args:
-        setup: to be changed.
         value: the strength, or the place in the picture as shares of its width and height.
     """
     if not 0 <= index < len(setup.lights):

@@ -281,12 +281,11 @@ def filled(configuration: Configuration, ends: Ends) -> Configuration:
 
 def slider_ends(configuration: Configuration) -> dict[str, tuple[int, ...]]:
     """Most steps that the slider of each level has, by cascade."""
-    levels = {part: getattr(configuration, part).levels for part in CASCADES}
-    return {part: tuple(map(_slider_end, own)) for part, own in levels.items()}
 
+    def end(level: Level) -> int:
+        return max(MOST_FINE_STEPS if level.factor == 1 else MOST_STEPS, level.steps)
 
-def _slider_end(level: Level) -> int:
-    return max(MOST_FINE_STEPS if level.factor == 1 else MOST_STEPS, level.steps)
+    return {part: tuple(map(end, getattr(configuration, part).levels)) for part in CASCADES}
 
 
 def _filled(schedule: Schedule, ends: Sequence[int]) -> Schedule:

@@ -61,9 +61,6 @@ class Explorer(anywidget.AnyWidget):
         scene: whose frames they are.
         frame, lights, configuration: what is shown first.
         truth: what they should look like; None for the true pictures of a generated room.
-
-    Raises:
-        InputError: any of these cannot be used.
     """
 
     _esm = (FOLDER / "widget.js").read_text(encoding="utf-8")

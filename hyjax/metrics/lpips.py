@@ -100,7 +100,7 @@ def lpips_features(image: Float[ArrayLike, "h w 3"], weights: LpipsWeights) -> F
     Raises:
         InputError: as `lpips`.
     """
-    (image,) = as_pictures(image=image, channels=3, smallest=NETWORKS[weights.net].smallest)
+    (image,) = as_pictures(image=image, smallest=NETWORKS[weights.net].smallest)
     return _features(image, weights)
 
 
@@ -151,8 +151,7 @@ def lpips_distance_map(
 def _features_of_both(
     image: Float[ArrayLike, "h w 3"], reference: Float[ArrayLike, "h w 3"], weights: LpipsWeights
 ) -> tuple[Features, Features]:
-    smallest = NETWORKS[weights.net].smallest
-    image, reference = as_pictures(image=image, reference=reference, channels=3, smallest=smallest)
+    image, reference = as_pictures(image=image, reference=reference, smallest=NETWORKS[weights.net].smallest)
     return _features(image, weights), _features(reference, weights)
 
 

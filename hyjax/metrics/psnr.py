@@ -35,7 +35,7 @@ def psnr(
         InputError: values outside [0, 1], NaN, sizes that differ, nothing valid.
     """
     image, reference = as_pictures(image=image, reference=reference)
-    check_valid(valid, image.shape[:2])
+    check_valid(valid)
     return _psnr(image, reference, valid)
 
 

@@ -77,7 +77,7 @@ def ssim(
         InputError: values outside [0, 1], NaN, sizes that differ, less than 11 x 11 pixels, nothing valid.
     """
     similarity = ssim_map(image, reference)
-    check_valid(valid, similarity.shape, border=RADIUS)
+    check_valid(valid, border=RADIUS)
     inside = (slice(RADIUS, -RADIUS),) * 2
     return jnp.mean(similarity[inside], where=None if valid is None else jnp.asarray(valid)[inside])
 

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import os
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from hyjax.metrics.networks import NETWORKS, Net
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.cache import cache_folder
-from hyjax.util.errors import InputError, did_you_mean
+from hyjax.util.errors import InputError
 from hyjax.util.tensors import read_tensors
 
 VARIABLE = "HYJAX_LPIPS"
@@ -22,9 +22,7 @@ FILE = "lpips_{}.safetensors"
 """Name of a file in the cache folder, by network."""
 
 
-@functools.partial(
-    jax.tree_util.register_dataclass, data_fields=["kernels", "biases", "heads"], meta_fields=["net"]
-)
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class LpipsWeights:
     """Weights of the network of LPIPS and of its channels.
@@ -39,7 +37,7 @@ class LpipsWeights:
     kernels: tuple[Float[Array, "k k i o"], ...]
     biases: tuple[Float[Array, "o"], ...]
     heads: tuple[Float[Array, "c"], ...]
-    net: Net
+    net: Net = dataclasses.field(metadata={"static": True})
 
 
 @checked_arguments
@@ -60,10 +58,6 @@ def load_lpips(path: str | Path | None = None, *, net: Net = "alex") -> LpipsWei
     Raises:
         InputError: there is no such file, it does not hold these weights, or there is none anywhere.
     """
-    if net not in NETWORKS:
-        raise InputError(
-            f"net: must be one of {', '.join(get_args(Net))}, got {net!r}{did_you_mean(net, NETWORKS)}"
-        )
     path = _find(net) if path is None else Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file; it should hold weights of LPIPS")

@@ -38,13 +38,21 @@ class Packed(NamedTuple):
 
 
 class Crop(NamedTuple):
-    """Square window of a pair, in arrays of its own; see `hyjax.pairs.loader.Batch`."""
+    """Square window of a pair, or a batch of them: code that depends on depth's unit must read `disparity`.
 
-    image: Float[np.ndarray, "s s 3"]
-    depth: Float[np.ndarray, "s s"]
-    valid: Bool[np.ndarray, "s s"]
-    normal: Float[np.ndarray, "s s 3"]
-    disparity: np.bool_
+    Attributes:
+        image: display-encoded colours in [0, 1], float32.
+        depth: in metres or disparity, 0 where invalid, float32.
+        valid: where the depth may be relied on.
+        normal: unit vectors in camera axes towards the camera, 0 where unknown, float32.
+        disparity: whether the depth is a disparity.
+    """
+
+    image: Float[np.ndarray, "*b s s 3"]
+    depth: Float[np.ndarray, "*b s s"]
+    valid: Bool[np.ndarray, "*b s s"]
+    normal: Float[np.ndarray, "*b s s 3"]
+    disparity: Bool[np.ndarray, "*b"] | np.bool_
 
 
 def random_crop(pair: Packed, size: int, rng: np.random.Generator, augment: bool) -> Crop:

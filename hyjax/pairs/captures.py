@@ -68,7 +68,6 @@ class CapturePairs:
         return len(self._frames)
 
     def __getitem__(self, index: int) -> DepthPair:
-        """Pair at a position among the chosen frames."""
         frame = self._frames[index]
         where = f"{self.name} {frame.name}"
         if self._caster is None:

@@ -143,7 +143,6 @@ class ChosenPairs:
 
     @property
     def fingerprint(self) -> str:
-        """Fingerprint, see `DepthPairs`."""
         return digest([self._pairs.fingerprint, *map(str, self._indices)])
 
     def __len__(self) -> int:

@@ -15,7 +15,6 @@ Source: Cho et al., "DIML/CVL RGB-D dataset: 2M RGB-D images of natural indoor a
 """
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -29,19 +28,13 @@ LEAST_CONFIDENCE = 0.9
 """Least confidence, of 1, from which outdoor depth counts."""
 
 
-class FileKind(NamedTuple):
-    """Subfolder of one kind of file, and the ending of its names."""
-
-    folder: str
-    ending: str
-
-
 LAYOUTS = (
-    (FileKind("color", "_c"), FileKind("depth_filled", "_depth_filled")),
-    (FileKind("col", "_c"), FileKind("up_png", "_ud")),
-    (FileKind("outleft", ""), FileKind("depthmap", ""), FileKind("confidencemap", "")),
-    (FileKind("left", "_left"), FileKind("depth", "_depth"), FileKind("conf", "_conf")),
+    {"color": "_c", "depth_filled": "_depth_filled"},
+    {"col": "_c", "up_png": "_ud"},
+    {"outleft": "", "depthmap": "", "confidencemap": ""},
+    {"left": "_left", "depth": "_depth", "conf": "_conf"},
 )
+"""Layouts: the ending of the names in each subfolder, of pictures first."""
 
 
 def open_diml(path: Path) -> FilePairs:
@@ -49,11 +42,11 @@ def open_diml(path: Path) -> FilePairs:
     files: dict[str, Files] = {}
     for parent in folders(path):
         for layout in LAYOUTS:
-            if all((parent / kind.folder).is_dir() for kind in layout):
-                found = matched(*(named(parent / kind.folder, kind.ending, (".png",)) for kind in layout))
+            if all((parent / folder).is_dir() for folder in layout):
+                found = matched(*(named(parent / folder, ending, (".png",)) for folder, ending in layout.items()))
                 files |= {(parent.relative_to(path) / name).as_posix(): group for name, group in found.items()}
     if not files:
-        known = "; ".join(" + ".join(kind.folder for kind in layout) for layout in LAYOUTS)
+        known = "; ".join(" + ".join(layout) for layout in LAYOUTS)
         raise InputError(f"{path}: no DIML scene; looked for folders {known}")
     return FilePairs(path, "metres", files, _read)
 

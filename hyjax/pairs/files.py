@@ -41,7 +41,6 @@ class FilePairs:
         return len(self._names)
 
     def __getitem__(self, index: int) -> DepthPair:
-        """Pair at a position."""
         name = self._names[index]
         color, *rest = self._files[name]
         depth, valid = self._read(tuple(rest))

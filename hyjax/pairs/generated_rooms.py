@@ -70,7 +70,6 @@ class GeneratedRooms:
 
     @property
     def fingerprint(self) -> str:
-        """Fingerprint, see `DepthPairs`."""
         return digest([f"rooms v{VERSION} seed {self._seed} {self._size}x{self._views}"])
 
     def __len__(self) -> int:

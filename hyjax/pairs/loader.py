@@ -2,11 +2,10 @@
 
 import threading
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import grain
 import numpy as np
-from jaxtyping import Bool, Float
 
 from hyjax.pairs.augmentation import Crop, Packed, random_crop
 from hyjax.pairs.depth_pairs import DepthPairs
@@ -23,26 +22,8 @@ MEMORY_BYTES = 4 << 30
 """Memory of kept decoded pairs, in bytes."""
 
 
-class Batch(NamedTuple):
-    """Batch of crops of one size, in metres or disparity: code that depends on the unit must read `disparity`.
-
-    Attributes:
-        image: display-encoded colours in [0, 1], float32.
-        depth: in metres or disparity, 0 where invalid, float32.
-        valid: where the depth may be relied on.
-        normal: unit vectors in camera axes towards the camera, 0 where unknown, float32.
-        disparity: whether the crop's depth is a disparity.
-    """
-
-    image: Float[np.ndarray, "b s s 3"]
-    depth: Float[np.ndarray, "b s s"]
-    valid: Bool[np.ndarray, "b s s"]
-    normal: Float[np.ndarray, "b s s 3"]
-    disparity: Bool[np.ndarray, "b"]
-
-
 class PairLoader:
-    """Endless iterator over `Batch`es.
+    """Endless iterator over batches of crops.
 
     Crop number i of the stream follows from the seed and i alone, hence from neither threads nor hosts.
     Every source is gone through in a shuffled order, again and again, and sources take turns by weight.
@@ -69,7 +50,18 @@ class PairLoader:
         threads: int = 2,
     ) -> None:
         weights = [1.0] * len(sources) if weights is None else list(weights)
-        _check(sources, size, batch, seed, weights, shard, threads)
+        if not sources:
+            raise InputError("pairs: no source given; name at least one")
+        if len(weights) != len(sources) or not all(np.isfinite(w) and w > 0 for w in weights):
+            raise InputError(f"weights: need one above 0 for each of {len(sources)} sources, got {weights}")
+        if threads < 0:
+            raise InputError(f"threads: must be at least 0, got {threads}")
+        if size < 1 or batch < 1:
+            raise InputError(f"size and batch: must be at least 1, got {size} and {batch}")
+        if not 0 <= seed < 2**32:
+            raise InputError(f"seed: must lie in [0, 2^32), got {seed}")
+        if not 0 <= shard[0] < shard[1]:
+            raise InputError(f"shard: index {shard[0]} must lie in [0, {shard[1]})")
         memory = _PairMemory(sources)
         streams = []
         for number, source in enumerate(sources):
@@ -92,8 +84,8 @@ class PairLoader:
     def __iter__(self) -> "PairLoader":
         return self
 
-    def __next__(self) -> Batch:
-        return Batch(*next(self._batches))
+    def __next__(self) -> Crop:
+        return Crop(*next(self._batches))
 
     def state(self) -> dict[str, Any]:
         """Position in the stream, in JSON's types; the same on all hosts in step."""
@@ -128,26 +120,3 @@ class _PairMemory:
                 self._pairs[number, index] = packed
                 self._free -= packed.nbytes
         return packed
-
-
-def _check(
-    sources: Sequence[DepthPairs],
-    size: int,
-    batch: int,
-    seed: int,
-    weights: Sequence[float],
-    shard: tuple[int, int],
-    threads: int,
-) -> None:
-    if not sources:
-        raise InputError("pairs: no source given; name at least one")
-    if len(weights) != len(sources) or not all(np.isfinite(w) and w > 0 for w in weights):
-        raise InputError(f"weights: need one above 0 for each of {len(sources)} sources, got {list(weights)}")
-    if threads < 0:
-        raise InputError(f"threads: must be at least 0, got {threads}")
-    if size < 1 or batch < 1:
-        raise InputError(f"size and batch: must be at least 1, got {size} and {batch}")
-    if not 0 <= seed < 2**32:
-        raise InputError(f"seed: must lie in [0, 2^32), got {seed}")
-    if not 0 <= shard[0] < shard[1]:
-        raise InputError(f"shard: index {shard[0]} must lie in [0, {shard[1]})")

@@ -68,14 +68,12 @@ class NyuPairs:
 
     @property
     def fingerprint(self) -> str:
-        """Fingerprint, see `DepthPairs`."""
         return digest([self._path.name, str(self._path.stat().st_size)])
 
     def __len__(self) -> int:
         return self._count
 
     def __getitem__(self, index: int) -> DepthPair:
-        """Pair at a position."""
         index = range(self._count)[index]
         with self._opened(f"damaged at picture {index}") as file:
             for name in ARRAYS:

@@ -18,7 +18,7 @@
 
 `frames` and `without` go with every kind and take positions as `hyjax.data.frames.select_frames` does.
 
-A new kind is a file that ends with its `PairsKind` and a line in `PAIRS_KINDS`; or, outside the package, a call of
+A new kind is a file that ends with its `PairsKind` and a place in `_KINDS`; or, outside the package, a call of
 `register_pairs`."""
 
 from pathlib import Path
@@ -28,7 +28,8 @@ from hyjax.pairs.depth_pairs import SELECTION_OPTIONS, ChosenPairs, DepthPairs, 
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError, did_you_mean
 
-PAIRS_KINDS: dict[str, PairsKind] = {}
+_KINDS = (folder.KIND, folder.MOSD, diml.KIND, nyu.KIND, middlebury.KIND, captures.KIND, generated_rooms.KIND)
+PAIRS_KINDS = {kind.name: kind for kind in _KINDS}
 """Kinds of sources by name."""
 
 
@@ -41,18 +42,6 @@ def register_pairs(kind: PairsKind) -> None:
     if kind.name in PAIRS_KINDS:
         raise InputError(f"pairs: kind {kind.name!r} is registered already; choose another name")
     PAIRS_KINDS[kind.name] = kind
-
-
-for _kind in (
-    folder.KIND,
-    folder.MOSD,
-    diml.KIND,
-    nyu.KIND,
-    middlebury.KIND,
-    captures.KIND,
-    generated_rooms.KIND,
-):
-    register_pairs(_kind)
 
 
 @checked_arguments

@@ -2,8 +2,8 @@
 
 import dataclasses
 import functools
-import importlib
 import os
+import pkgutil
 import platform
 import socket
 import sys
@@ -91,7 +91,7 @@ def run_batch(batch: TaskBatch) -> Outcome:
 
 def _do(task: Task, function: str, writer: RowWriter, outcome: Outcome) -> None:
     """Compute a task and write its row; an error of this task alone goes into the outcome."""
-    call = _function(function)
+    call = pkgutil.resolve_name(function)
     start = time.perf_counter()
     try:
         values, kind = call(task.payload), task.kind
@@ -148,16 +148,6 @@ def close_rows() -> None:
     """Close this process's file of rows."""
     while _opened:
         _opened.popitem()[1][0].close()
-
-
-@functools.cache
-def _function(name: str) -> Function:
-    module, _, qualified = name.partition(":")
-    found: Any = importlib.import_module(module)
-    for part in qualified.split("."):
-        found = getattr(found, part)
-    function: Function = found
-    return function
 
 
 _commit = functools.cache(commit)

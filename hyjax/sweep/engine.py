@@ -1,11 +1,9 @@
 """Engine of tasks: this process, workers on this machine, or those of a Dask scheduler."""
 
-import sys
 import threading
 import uuid
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol
 
 from hyjax.sweep.batch import Function, Outcome, TaskBatch, close_rows, name_of, run_batch
@@ -14,6 +12,7 @@ from hyjax.sweep.rows import Row, RowStore
 from hyjax.sweep.task import Task
 from hyjax.util.errors import InputError
 from hyjax.util.files import make_writable
+from hyjax.util.terminal import write_above_bars
 
 
 class Pool(Protocol):
@@ -64,7 +63,7 @@ class Engine:
         if workers is not None and scheduler is not None:
             raise InputError("workers: a scheduler starts its own workers; give one of the two")
         make_writable(folder)
-        folder, tell = folder.resolve(), tell or tell_on_stderr
+        folder, tell = folder.resolve(), tell or (lambda line: write_above_bars(f"hyjax: {line}"))
         pool: Pool = HerePool()
         if workers != 0:
             from hyjax.sweep.dask_pool import DaskPool
@@ -80,9 +79,7 @@ class Engine:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._pool.close()
 
     def check_timing(self) -> None:
@@ -146,10 +143,3 @@ class HerePool:
 
     def close(self) -> None:
         close_rows()
-
-
-def tell_on_stderr(line: str) -> None:
-    """Print a line on stderr above any progress bar."""
-    from tqdm import tqdm
-
-    tqdm.write(f"hyjax: {line}", file=sys.stderr)

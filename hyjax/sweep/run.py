@@ -5,7 +5,7 @@ import functools
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -88,19 +88,15 @@ def tasks_of(spec: Spec, configurations: list[dict[str, Any]]) -> Iterator[Task]
             spec.scenes, spec.lights, configurations, seeds
         ):
             payload = {"scene": scene, "lights": lights, "configuration": configuration}
-            payload |= {"files": contents([lights, configuration["guide"]["name"]])}
+            files = [name for name in (lights, configuration["guide"]["name"]) if Path(name).is_file()]
+            payload |= {"files": [content_key(name) for name in files]}
             yield Task(payload | {"frames": frames[scene], "size": spec.size, "seed": seed}, kind)
 
 
 @functools.cache
 def content_key(path: str) -> str:
-    """Hash of a file's content."""
+    """Hash of a file's content: a task is another one when it changes."""
     return hashlib.sha256(read_bytes(Path(path), most=MOST_FILE_BYTES)).hexdigest()[:16]
-
-
-def contents(names: Sequence[str]) -> list[str]:
-    """Hashes of the files among the names: a task is another one when they change."""
-    return [content_key(name) for name in names if Path(name).is_file()]
 
 
 def _conclude(out: Path, tasks: list[Task], configurations: dict[str, dict[str, Any]]) -> SweepResult:

@@ -66,12 +66,20 @@ def batch_losses(
         depth_key, shading_key = jax.random.split(key)
         depth = shading = border = jnp.zeros(())
         shaded = lit(sample)
+
+        def error(target: Array, valid: Array) -> Array:
+            """L1 between a super-resolved picture and the true one, over the valid pixels."""
+            resolvers = [
+                lambda y, guide, factor=factor: resolve(y, valid, guide, log_kappa, factor, uncounted, settings)
+                for factor in settings.factors
+            ]
+            resolved = jax.lax.switch(factor_index, resolvers, target, features)
+            return jnp.mean(mean_over(jnp.abs(resolved - target), valid))
+
         if settings.depth_weight:
-            target = tinted_depth(sample, depth_key)
-            depth = _error(target, sample.valid, features, log_kappa, factor_index, uncounted, settings)
+            depth = error(tinted_depth(sample, depth_key), sample.valid)
         if settings.shading_weight:
-            target = random_shading(sample, shading_key)
-            shading = _error(target, shaded, features, log_kappa, factor_index, uncounted, settings)
+            shading = error(random_shading(sample, shading_key), shaded)
         if settings.border_weight:
             border = border_loss(features, log_kappa, sample, schedule_of(settings, jnp.exp(log_kappa)))
         return Losses(depth, shading, border), jnp.any(shaded).astype(features.dtype)
@@ -89,24 +97,6 @@ def total(losses: Losses, settings: TrainSettings) -> Float[Array, ""]:
         + settings.shading_weight * losses.shading
         + settings.border_weight * losses.border
     )
-
-
-def _error(
-    target: Float[Array, "h w c"],
-    valid: Bool[Array, "h w"],
-    features: Float[Array, "h w f"],
-    log_kappa: Float[Array, ""],
-    factor_index: Int[Array, ""],
-    uncounted: Int[Array, ""],
-    settings: TrainSettings,
-) -> Float[Array, ""]:
-    """L1 between a super-resolved picture and the true one, over the valid pixels."""
-    resolvers = [
-        lambda y, guide, factor=factor: resolve(y, valid, guide, log_kappa, factor, uncounted, settings)
-        for factor in settings.factors
-    ]
-    resolved = jax.lax.switch(factor_index, resolvers, target, features)
-    return jnp.mean(mean_over(jnp.abs(resolved - target), valid))
 
 
 def resolve(

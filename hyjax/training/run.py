@@ -26,7 +26,6 @@ import numpy as np
 from tqdm import tqdm
 
 from hyjax.guide import save_guide
-from hyjax.pairs.depth_pairs import DepthPairs
 from hyjax.pairs.loader import PairLoader
 from hyjax.pairs.registry import open_pairs
 from hyjax.training.checkpoints import Checkpoints
@@ -122,7 +121,8 @@ def _train(
                 "no normals in the validation's depth: its loss on shading is 0, and the training's may be"
             )
         # Only now: a run that was refused blocks no folder.
-        log.open(start, environment() | {"data": [_described(source) for source in sources]}, write=leads)
+        data = [f"{source.name}: {len(source)} pairs, {source.fingerprint}" for source in sources]
+        log.open(start, environment() | {"data": data}, write=leads)
         with tqdm(
             total=settings.iterations,
             initial=start,
@@ -139,7 +139,11 @@ def _train(
                     checkpoints.save(state, position)
                     if leads:
                         _export(updater, state, out / "last.safetensors", settings, command)
-                    raise _unsound(outcome, done, out)
+                    raise InputError(
+                        f"{out}: the loss became {float(outcome.loss)} at iteration {done}, its gradient "
+                        f"{float(outcome.gradient)}; the weights before that are in {out / 'last.safetensors'}: go "
+                        "on with --start, a lower --learning-rate or --clip, and another --out"
+                    )
                 log.add(iteration=done, **_numbers(outcome))
                 bar.update()
                 bar.set_postfix_str(f"loss {float(outcome.loss):.3f}")
@@ -172,16 +176,6 @@ def _numbers(update: Progress) -> dict[str, float]:
     }
 
 
-def _unsound(update: Progress, iteration: int, out: Path) -> InputError:
-    """Message about an update that is not finite; the state before it has been kept."""
-    return InputError(
-        f"{out}: the loss became {float(update.loss)} at iteration {iteration}, its gradient "
-        f"{float(update.gradient)}; "
-        f"the weights before that are in {out / 'last.safetensors'}: go on with --start, a lower --learning-rate "
-        "or --clip, and another --out"
-    )
-
-
 def _check_memory(needed: int, settings: TrainSettings) -> None:
     """Raise `InputError` for a batch beyond this machine's memory, before the system kills the program."""
     free = _free_memory()
@@ -212,7 +206,3 @@ def _export(updater: Updater, state: TrainState, path: Path, settings: TrainSett
     }
     kappa = float(np.exp(np.asarray(state.weights["log_kappa"])))
     save_guide(path, updater.network(state), kappa=kappa, metadata=metadata)
-
-
-def _described(source: DepthPairs) -> str:
-    return f"{source.name}: {len(source)} pairs, {source.fingerprint}"

@@ -23,11 +23,7 @@ from hyjax.util.errors import InputError
 Tree = Any
 
 
-@functools.partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["weights", "statistics", "optimizer", "iteration"],
-    meta_fields=[],
-)
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class TrainState:
     """State of a training run between two updates.

@@ -14,8 +14,9 @@ from hyjax.core.diffusion import conductance
 from hyjax.core.schedule import DEFAULT_KAPPA
 from hyjax.core.stencil import least_around
 from hyjax.core.superresolution import coarsen
+from hyjax.pairs.augmentation import Crop
 from hyjax.pairs.depth_pairs import DepthPairs
-from hyjax.pairs.loader import Batch, PairLoader
+from hyjax.pairs.loader import PairLoader
 from hyjax.training.objective import batch_losses, resolve, total
 from hyjax.training.state import TrainState, Updater
 from hyjax.training.targets import Sample, lit, random_shading, relative_depth
@@ -103,6 +104,6 @@ def _resolved(target, sample, features, log_kappa, factor, settings):  # type: i
     return resolve(target, sample.valid, features, log_kappa, factor, uncounted, settings)
 
 
-def sample_of(batch: Batch) -> Sample:
+def sample_of(batch: Crop) -> Sample:
     """Sample of a batch for the loss, which treats metres and disparity alike."""
     return Sample(*(jnp.asarray(field) for field in (batch.image, batch.depth, batch.valid, batch.normal)))

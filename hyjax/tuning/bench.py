@@ -39,7 +39,8 @@ class Workbench:
     @property
     def description(self) -> str:
         """The two meshes in a few words, for the record."""
-        return f"{self.scene.source} against {_source(self.accurate)}"
+        target = "1000 steps on the same mesh" if self.accurate is None else self.accurate.source
+        return f"{self.scene.source} against {target}"
 
     def name(self, index: int) -> str:
         """Name of frame `index`, which is read once at most for it."""
@@ -83,28 +84,10 @@ class Workbench:
         return cases, blind
 
 
-def open_bench(
-    settings: TuneSettings,
-    *,
-    capture: Capture | None = None,
-    guide: FrameGuide = RGB,
-) -> Workbench:
-    """Workbench of a capture on disk, or of the built-in room.
-
-    Args:
-        settings: capture, meshes, lights and size.
-        capture: frames that were opened before, in the place of those that the settings name.
-        guide: what makes the guide of a frame.
-
-    Raises:
-        InputError: any of these cannot be used.
-    """
+def open_bench(settings: TuneSettings, *, capture: Capture | None = None, guide: FrameGuide = RGB) -> Workbench:
+    """Workbench of the settings' capture, or of the built-in room, or of frames that were opened before."""
     scene, accurate = open_scenes(settings.scene, settings.target, capture=capture, progress=not settings.quiet)
     return Workbench(scene, accurate, (accurate or scene).lights(settings.lights or DIFFUSION_LIGHTS), guide)
-
-
-def _source(accurate: Scene | None) -> str:
-    return "1000 steps on the same mesh" if accurate is None else accurate.source
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,7 +14,6 @@ from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import PRESETS, Schedule, guided_schedule
 from hyjax.util.environment import cores
 
-REPEATS = 60
 # Large pictures get fewer rounds instead of minutes.
 MOST_SECONDS = 30.0
 
@@ -25,9 +24,6 @@ Arguments = tuple[Float[Array, "h w lights"], Float[Array, "h w 1"], Float[Array
 MANY_STEPS = {1: 10, 2: 24, 4: 40, 8: 80}
 MANY_COARSE_STEPS = 240
 FEW_STEPS = 2
-
-
-# ---- the choice ----
 
 
 def schedule_of(factors: Sequence[int], steps: Sequence[int]) -> Schedule:
@@ -71,9 +67,6 @@ def calibration_steps(factors: Sequence[int]) -> list[tuple[int, ...]]:
     return [row for row in dict.fromkeys(rows) if any(row)]
 
 
-# ---- the timing ----
-
-
 def compile_all(schedules: Sequence[Schedule], arguments: Arguments, *, progress: bool) -> list[Callable[[], Any]]:
     """`cascade_known` compiled for each schedule, with its arguments bound and already on the device.
 
@@ -88,13 +81,5 @@ def compile_all(schedules: Sequence[Schedule], arguments: Arguments, *, progress
         )
 
     with concurrent.futures.ThreadPoolExecutor(min(2, cores())) as pool:
-        jobs = [pool.submit(compiled, schedule) for schedule in schedules]
-        try:
-            finished = concurrent.futures.as_completed(jobs)
-            bar = tqdm(finished, "compiling", len(jobs), unit="schedule", leave=False, disable=not progress)
-            for job in bar:
-                job.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return [job.result() for job in jobs]
+        ready = pool.map(compiled, schedules)  # which an error ends
+        return [*tqdm(ready, "compiling", len(schedules), unit="schedule", leave=False, disable=not progress)]

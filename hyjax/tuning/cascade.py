@@ -1,7 +1,6 @@
 """Stage of the diffusion alone: levels, steps, κ, λ and α of the cascade for the light, within its own budget."""
 
 import dataclasses
-import hashlib
 import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -14,7 +13,6 @@ from hyjax.configuration import Configuration
 from hyjax.core.schedule import PRESETS, Schedule
 from hyjax.data.frames import spread
 from hyjax.light.color import to_display
-from hyjax.scene.scene import Scene
 from hyjax.tuning.bench import Workbench
 from hyjax.tuning.budget import MOST_STEPS
 from hyjax.tuning.cases import Case, raw_filter, refined_filter, scores
@@ -28,14 +26,13 @@ from hyjax.tuning.relaxation import RANGES, RelaxedSchedule, prepare, relaxed_of
 from hyjax.tuning.request import Budget, split_frames
 from hyjax.tuning.result import Candidate, Tuned
 from hyjax.tuning.run import Run
-from hyjax.tuning.schedule_clock import LatencySource, OwnTimes, ScheduleClock
+from hyjax.tuning.schedule_clock import LatencySource, OwnTimes
 from hyjax.tuning.search import State
 from hyjax.tuning.settings import BudgetStage, TuneSettings
 from hyjax.tuning.space import Choices, Space
 from hyjax.tuning.stage import Stage
 from hyjax.tuning.study import Study
 from hyjax.util.environment import environment
-from hyjax.util.errors import InputError
 
 BASELINES = ("hyjax", "paper-50", "paper-80", "naive-50", "naive-1000")
 """Presets to compare the tuned schedules with, the default first."""
@@ -59,7 +56,6 @@ class CascadeJudge:
     known: Sequence[Case]
 
     def scores(self, configuration: Configuration, cases: Sequence[int]) -> list[Scores]:
-        """Scores of each case, in their order."""
         chosen = [self.known[number] for number in cases]
         return [scores([case], [refined_filter(case, configuration.schedule)]) for case in chosen]
 
@@ -80,7 +76,7 @@ class CascadeStage(Stage):
         settings: TuneSettings,
         frames: Sequence[int],
         holdout: Sequence[int],
-        latency: LatencySource | None = None,
+        latency: LatencySource,
     ) -> None:
         self.bench, self.settings = bench, settings
         self.frames, self._environment, progress = list(frames), environment(), not settings.quiet
@@ -90,8 +86,7 @@ class CascadeStage(Stage):
         self._asked = list(holdout)
         self.judge = CascadeJudge([*tuning, *held_out])
         self.cases, self.held_out = range(len(tuning)), range(len(tuning), len(tuning) + len(held_out))
-        self.latency = latency or OwnTimes(settings.recalibrate, progress)
-        self.own_clock: ScheduleClock = self.latency(tuning[0])
+        self.latency, self.own_clock = latency, latency(tuning[0])
         self.clock, self.factors = self.own_clock, self.own_clock.table.factors
         self.space = Space.of_cascade(self.factors, RANGES)
         usual = self.space.configuration(self.space.default, "hyjax").schedule
@@ -123,8 +118,7 @@ class CascadeStage(Stage):
         return [self.base, *(Configuration(name=name, schedule=Schedule.preset(name)) for name in reached)]
 
     def evaluator(self, space: Space, study: Study, expired: Callable[[], bool]) -> CascadeEvaluator:
-        seed = self.settings.scene.seed
-        return CascadeEvaluator(space, self.objective, self.own_clock, seed=seed, expired=expired)
+        return CascadeEvaluator(space, self.objective, self.own_clock, self.settings.scene.seed, expired)
 
     def polished(self, configuration: Configuration, expired: Callable[[], bool]) -> Configuration:
         start = relaxed_of(configuration.schedule, self.factors)
@@ -143,12 +137,9 @@ class CascadeStage(Stage):
         paper = next((c for c in references if c.name == "paper-50"), references[0])
         within = [c for c in front if c.time.median <= paper.time.median]
         shown = paper, (within[-1] if within else front[0])
-        made = []
-        for index in spread(self.holdout or self.frames, MOST_EXAMPLES):
-            case = self.bench.case(index)
-            if case is not None:
-                made.append((self.bench.name(index), _pictures(case, *shown)))
-        return made
+        indices = spread(self.holdout or self.frames, MOST_EXAMPLES)
+        cases = ((self.bench.name(index), self.bench.case(index)) for index in indices)
+        return [(name, _pictures(case, *shown)) for name, case in cases if case is not None]
 
     def named(self, candidate: Candidate, budget: Budget) -> Configuration:
         configuration = candidate.configuration
@@ -164,10 +155,10 @@ class CascadeStage(Stage):
         return [abs(self.own_clock.predict(c.configuration.schedule).median / c.time.median - 1) for c in timed]
 
     def decisive(self) -> dict[str, Any]:
-        scene, accurate = self.bench.scene, self.bench.accurate
+        scene, surfaces = self.bench.scene, (self.bench.scene, self.bench.accurate)
         record = {
             "capture": scene.capture.fingerprint,
-            "meshes": [_fingerprint(scene), None if accurate is None else _fingerprint(accurate)],
+            "meshes": [None if each is None else each.caster.arrays.key[:16] for each in surfaces],
             "lights": str(self.bench.lights),
             "guide": self.bench.guide.fingerprint,
             "frames": [int(index) for index in self.frames],
@@ -203,9 +194,6 @@ def tune_bench(
     bench: Workbench,
     settings: TuneSettings,
     *,
-    budgets: Sequence[Budget] | None = None,
-    frames: Sequence[int] | None = None,
-    holdout: Sequence[int] = (),
     latency: LatencySource | None = None,
     monitor: RunMonitor | None = None,
 ) -> Tuned:
@@ -214,25 +202,19 @@ def tune_bench(
     Args:
         bench: the capture, its meshes and lights.
         settings: of the search; of the scene they tell the seed alone.
-        budgets: in the place of the settings'; the first one's schedule is the main result.
-        frames: indices to tune on, in the place of the settings' frames, held-out ones included.
-        holdout: indices that are only reported on, if `frames` are given.
         latency: of another device, in the place of this machine's.
         monitor: time limit and progress.
 
     Raises:
         InputError: no frame left to tune on or none that sees the mesh, or a budget that cannot be reached.
     """
-    if frames is None:
-        frames, holdout = split_frames(len(bench.scene), settings.frames, settings.holdout)
-    chosen = [index for index in frames if index not in holdout]
-    if not chosen:
-        raise InputError("frames: none is left to tune on; give frames that are not held out")
-    stage = CascadeStage(bench, settings, chosen, holdout, latency)
+    frames, holdout = split_frames(len(bench.scene), settings.frames, settings.holdout)
+    latency = latency or OwnTimes(settings.recalibrate, not settings.quiet)
+    stage = CascadeStage(bench, settings, frames, holdout, latency)
     monitor = monitor or RunMonitor(settings.limit_seconds, not settings.quiet)
     if settings.target_device.device:
         monitor.begin()  # somebody had to open the page
-    budgets = budgets or settings.budgets()
+    budgets = settings.budgets()
     for budget in budgets:  # before the folder holds a run
         stage.own_clock.check_reachable(budget.milliseconds)
     return Run(stage, settings, budgets, monitor).run()
@@ -251,7 +233,3 @@ def _pictures(case: Case, paper: Candidate, ours: Candidate) -> dict[str, Float[
     pictures |= {f"filter: {name}": to_display(relight_filter / dim) for name, relight_filter in filters.items()}
     pictures |= {name: to_display(relight_filter * case.frame) for name, relight_filter in filters.items()}
     return {name: np.asarray(picture) for name, picture in pictures.items()}
-
-
-def _fingerprint(scene: Scene) -> str:
-    return hashlib.sha256(scene.mesh.vertices.tobytes() + scene.mesh.faces.tobytes()).hexdigest()[:16]

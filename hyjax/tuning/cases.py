@@ -35,11 +35,6 @@ class Case:
     target: Float[Array, "h w 3"]
     valid: Bool[Array, "h w"]
 
-    @property
-    def cascade_arguments(self) -> tuple[Float[Array, "h w l"], Float[Array, "h w 1"], Float[Array, "h w f"]]:
-        """Filter, confidence and guide for `cascade_known`."""
-        return self.shaded.illuminance, self.shaded.confidence, self.guide
-
 
 def filter_colors(shaded: Shaded) -> Float[Array, "l 3"]:
     """Relight filter of one lux of each light."""

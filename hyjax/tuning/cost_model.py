@@ -56,20 +56,14 @@ class CostModel:
 
     def __call__(self, steps: Sequence[int | float]) -> float:
         """Milliseconds for a schedule with these steps over the factors; a level with 0 steps is left out."""
-        row = row_of(checked_steps(steps, len(self.level)))
-        return float(row @ np.concatenate([[self.fixed], self.level, self.step, self.finest]))
-
-
-def checked_steps(steps: Sequence[int | float], count: int) -> Sequence[int | float]:
-    """The steps, if they are those of a schedule over `count` factors."""
-    if len(steps) != count:
-        raise InputError(f"steps: need one number for each of {count} levels, got {len(steps)}")
-    for value in steps:
-        if not (math.isfinite(value) and value >= 0):
-            raise InputError(f"steps: must be finite and >= 0, got {value}")
-    if not any(steps):
-        raise InputError("steps: at least one level must have some")
-    return steps
+        if len(steps) != len(self.level):
+            raise InputError(f"steps: need one number for each of {len(self.level)} levels, got {len(steps)}")
+        for value in steps:
+            if not (math.isfinite(value) and value >= 0):
+                raise InputError(f"steps: must be finite and >= 0, got {value}")
+        if not any(steps):
+            raise InputError("steps: at least one level must have some")
+        return float(row_of(steps) @ np.concatenate([[self.fixed], self.level, self.step, self.finest]))
 
 
 def row_of(steps: Sequence[int | float]) -> Float[np.ndarray, "k"]:

@@ -46,9 +46,12 @@ class Objective:
         self, point: RelaxedSchedule, frames: Iterable[int] | None = None
     ) -> tuple[float, RelaxedSchedule]:
         """Mean loss over some of the frames (all by default) and its gradient."""
-        chosen = range(len(self.prepared)) if frames is None else list(frames)
-        parts = [evaluate_with_gradient(point, self.prepared[i], self.factors) for i in chosen]
-        return jax.tree.map(lambda *x: np.mean(x, axis=0), *parts)
+        chosen = range(len(self.prepared)) if frames is None else frames
+        return jax.tree.map(lambda *x: np.mean(x, axis=0), *(self.part(point, i) for i in chosen))
+
+    def part(self, point: RelaxedSchedule, frame: int) -> tuple[Array, RelaxedSchedule]:
+        """Loss of one frame and its gradient."""
+        return evaluate_with_gradient(point, self.prepared[frame], self.factors)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,10 +60,6 @@ class Found:
 
     point: RelaxedSchedule
     loss: float
-
-    @property
-    def steps(self) -> Steps:
-        return whole(self.point)
 
 
 def whole(point: RelaxedSchedule) -> Steps:
@@ -75,9 +74,6 @@ def with_steps(point: RelaxedSchedule, steps: Sequence[float] | np.ndarray) -> R
         there = np.arange(len(steps))
     nearest = np.array([there[np.argmin(np.abs(there - i))] for i in range(len(steps))])
     return RelaxedSchedule(jnp.asarray(steps, jnp.float32), *(part[nearest] for part in _continuous(point)))
-
-
-# ---- relax ----
 
 
 BUDGET_SHARES = (1.0, 0.5, 0.25, 0.1)
@@ -160,18 +156,12 @@ def bounds() -> list[tuple[float, float]]:
     return [kappa, lam, fidelity]  # type: ignore[list-item]
 
 
-# ---- round ----
-
-
 def promising(
     candidates: Sequence[Steps], point: RelaxedSchedule, slope: RelaxedSchedule, count: int
 ) -> list[Steps]:
     """The candidates with the lowest loss to first order around the relaxed point."""
     real, gradient = np.asarray(point.steps, float), np.asarray(slope.steps, float)
     return sorted(candidates, key=lambda steps: (float((np.array(steps) - real) @ gradient), steps))[:count]
-
-
-# ---- polish ----
 
 
 def polish(

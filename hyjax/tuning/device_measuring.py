@@ -86,8 +86,6 @@ class Measuring:
         self._job: _Job | None = None
         self._jobs, self._heard, self._ended = 0, time.monotonic(), False
 
-    # ---- for the program ----
-
     def wait_for_device(self) -> Device:
         """The device that says hello."""
         with self._changed:
@@ -121,8 +119,6 @@ class Measuring:
         with self._changed:
             self._ended = True
             self._changed.notify_all()
-
-    # ---- for the page ----
 
     def get(self, path: str) -> Answer:
         if path == "bench.json":  # of a page on another host
@@ -213,7 +209,9 @@ class ConnectedDevice:
         self.say(f"{device.name} times {counted} at {request.workload}")
         rounds, seconds = self.site.measure(request, schedules)
         columns = list(zip(*(r.milliseconds for r in rounds)))
-        self._tell_heat(columns)
+        rise = drift(columns)
+        if rise is not None and rise > HOT_RISE and len(columns) >= FEWEST_SCHEDULES:
+            self.say(f"the device got slower by {100 * rise:.0f} % from the first to the last rounds: is it hot?")
         return DeviceLatency(
             format=FORMAT,
             device=device,
@@ -227,11 +225,6 @@ class ConnectedDevice:
     def times(self, request: LatencyRequest, schedules: Sequence[Schedule]) -> list[Milliseconds]:
         """Times of schedules, in turns."""
         return [timed.time for timed in self.latency(request, schedules).measured]
-
-    def _tell_heat(self, columns: Sequence[Sequence[float]]) -> None:
-        rise = drift(columns)
-        if rise is not None and rise > HOT_RISE and len(columns) >= FEWEST_SCHEDULES:
-            self.say(f"the device got slower by {100 * rise:.0f} % from the first to the last rounds: is it hot?")
 
     def close(self) -> None:
         """End the page's session, and stop serving."""

@@ -59,12 +59,8 @@ def calibration_schedules(workload: DeviceWorkload) -> list[Schedule]:
     factors = factors_for(workload.height, workload.width)
     schedules = [schedule_of(factors, steps) for steps in calibration_steps(factors)]
     presets = [Schedule.preset(name) for name in PRESET_NAMES]
-    return each_once([*schedules, *(preset for preset in presets if has_levels(preset, factors))])
-
-
-def has_levels(schedule: Schedule, factors: Sequence[int]) -> bool:
-    """Whether all levels of a schedule are among the factors."""
-    return all(level.factor in factors for level in schedule.levels)
+    reached = [preset for preset in presets if {level.factor for level in preset.levels} <= set(factors)]
+    return each_once([*schedules, *reached])
 
 
 def each_once(schedules: Iterable[Schedule]) -> list[Schedule]:

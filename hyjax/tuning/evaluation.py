@@ -40,7 +40,6 @@ class Judge:
         self.scenes, self.loss = scenes, loss
 
     def scores(self, configuration: Configuration, cases: Sequence[FrameCase]) -> list[Scores]:
-        """Scores of each case, in their order."""
         found: dict[FrameCase, Scores] = {}
         most = max(len(self.scenes[place].setup(lights).lights) for place, lights, _ in cases)
         most = -(-most // LIGHT_MULTIPLE) * LIGHT_MULTIPLE

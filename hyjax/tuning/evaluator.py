@@ -37,9 +37,7 @@ class Evaluator(abc.ABC):
     say: Callable[[str], None] = staticmethod(lambda words: None)
     """Called with how far a long trial has come."""
 
-    def __init__(
-        self, space: Space, cases: Sequence[Any], *, seed: int = 0, expired: Callable[[], bool] = lambda: False
-    ) -> None:
+    def __init__(self, space: Space, cases: Sequence[Any], seed: int, expired: Callable[[], bool]) -> None:
         self.space, self.cases, self._seed, self._expired = space, tuple(cases), seed, expired
         self._default: dict[Any, float] = {}
         self._judged: dict[str, tuple[float, ...]] = {}
@@ -97,14 +95,13 @@ class StudyEvaluator(Evaluator):
         seed: int = 0,
         expired: Callable[[], bool] = lambda: False,
     ) -> None:
-        super().__init__(space, cases, seed=seed, expired=expired)
+        super().__init__(space, cases, seed, expired)
         self.judge, self.clock, self.study = judge, clock, study
         # What differs from the default in numbers alone takes as long, if what is not searched is the default's.
         usual = not (space.paper or space.fixed)
         self._times: dict[str, float] = {structure(space.default, space): 1.0} if usual else {}
 
     def relative(self, configuration: Configuration, cases: Sequence[Any]) -> list[float]:
-        """Losses of a configuration over the default's."""
         if missing := [case for case in cases if case not in self._default]:
             rows = self.judge.scores(Configuration(), missing)
             self._default |= {case: row["loss"] for case, row in zip(missing, rows, strict=True)}
@@ -147,7 +144,6 @@ class StudyEvaluator(Evaluator):
         return self.space.complete(changed)
 
     def relaxed(self, choices: Choices, trial: Trial) -> Choices:
-        """The choices with the levels and steps of a relaxation within the trial's budget."""
         return relaxed_choices(
             choices,
             self.space,
@@ -191,15 +187,9 @@ class CascadeEvaluator(Evaluator):
     """
 
     def __init__(
-        self,
-        space: Space,
-        objective: Objective,
-        clock: ScheduleClock,
-        *,
-        seed: int = 0,
-        expired: Callable[[], bool] = lambda: False,
+        self, space: Space, objective: Objective, clock: ScheduleClock, seed: int, expired: Callable[[], bool]
     ) -> None:
-        super().__init__(space, range(len(objective.prepared)), seed=seed, expired=expired)
+        super().__init__(space, range(len(objective.prepared)), seed, expired)
         self.objective, self._model = objective, clock.cost
         self._usual = self._model(self._steps(space.default))
         self.cost = self.time

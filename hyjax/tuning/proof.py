@@ -12,7 +12,7 @@ from hyjax.tuning.evaluation import Scores, mean_scores
 from hyjax.tuning.monitor import RunMonitor
 from hyjax.tuning.request import Budget
 from hyjax.tuning.result import Candidate, Effect
-from hyjax.tuning.trial import Trial
+from hyjax.tuning.trial import Trial, unbeaten
 from hyjax.util.programs import forget_programs_in_time
 
 if TYPE_CHECKING:
@@ -110,11 +110,7 @@ def prove_in_time(
 
 def front_of(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Candidates that no other beats in both median time and tuning loss, by time."""
-    front: list[Candidate] = []
-    for candidate in sorted(candidates, key=lambda c: (c.time.median, c.tuning["relative"])):
-        if not front or candidate.tuning["relative"] < front[-1].tuning["relative"]:
-            front.append(candidate)
-    return front
+    return unbeaten(candidates, lambda c: (c.time.median, c.tuning["relative"]))
 
 
 def best_within(budget: Budget, candidates: Sequence[Candidate]) -> Candidate:

@@ -8,7 +8,7 @@ those of `hyjax.tuning.descent`.
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -23,13 +23,7 @@ from hyjax.tuning.cost_model import CostModel
 from hyjax.tuning.descent import Found, Objective, promising, relax, whole, with_steps
 from hyjax.tuning.evaluation import FrameCase, Judge, padded
 from hyjax.tuning.refinement import lit_case
-from hyjax.tuning.relaxation import (
-    Prepared,
-    RelaxedSchedule,
-    prepare_channels,
-    relaxed_channels,
-    relaxed_of,
-)
+from hyjax.tuning.relaxation import Prepared, RelaxedSchedule, prepare_channels, relaxed_channels, relaxed_of
 from hyjax.tuning.space import Choices, Space
 
 ITERATIONS = 16
@@ -80,12 +74,8 @@ class FrameObjective(Objective):
     def __call__(self, point: RelaxedSchedule) -> float:
         return float(self.gradient(point)[0])
 
-    def gradient(
-        self, point: RelaxedSchedule, frames: Iterable[int] | None = None
-    ) -> tuple[float, RelaxedSchedule]:
-        chosen = range(len(self.lit)) if frames is None else list(frames)
-        parts = [self._slope(point, self.prepared[i], self.lit[i], self.gains[i], *self.targets[i]) for i in chosen]
-        return jax.tree.map(lambda *x: np.mean(x, axis=0), *parts)
+    def part(self, point: RelaxedSchedule, frame: int) -> tuple[Array, RelaxedSchedule]:
+        return self._slope(point, self.prepared[frame], self.lit[frame], self.gains[frame], *self.targets[frame])
 
 
 def relaxed_choices(
@@ -106,8 +96,6 @@ def relaxed_choices(
     Args:
         cases: one of them is looked at in each iteration.
         room: time, over the default's frame's, that the cascade may take beyond its own; infinite for no budget.
-        seed: of the order of frames.
-        expired: asked before each iteration.
     """
     configuration = space.configuration(choices)
     own, sampling = configuration.schedule, configuration.light.sampling
@@ -143,8 +131,6 @@ def relaxed_points(
 
     Args:
         looked_at: whole steps around the start, and around the end of the descent, of which the loss is computed.
-        seed: of the order of frames.
-        expired: asked before each iteration.
     """
     if not fits(whole(start), cost, budget):
         start = with_steps(start, np.floor(project(np.asarray(start.steps), cost, budget)))

@@ -14,7 +14,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from hyjax.choices.table import choice_named
+from hyjax.choices.table import CHOICES
 from hyjax.configuration import Configuration
 from hyjax.core.step_size import DEFAULT_LAM
 from hyjax.scene.relighter import LitFrame, refined_picture
@@ -102,6 +102,7 @@ def refine_numbers(
     most = max(frame.shaded.illuminance.shape[-1] for frame, _, _ in lit)
     alike = [padded(frame, most) for frame, _, _ in lit]
     start = numbers_of(configuration, levels=levels)
+    boxes = {name: np.log(CHOICES[name].tried.values) for name in start}  # type: ignore[union-attr]
 
     @functools.partial(jax.jit, compiler_options=cascade_options())
     def slope(
@@ -136,15 +137,8 @@ def refine_numbers(
             best, lowest = logs, relative
         total = {name: sum(w * slope_of[name] for w, slope_of in zip(shares, slopes)) for name in logs}
         updates, state = optimizer.update(total, state)
-        logs = {name: _bounded(name, value) for name, value in optax.apply_updates(logs, updates).items()}
+        logs = {name: jnp.clip(value, *boxes[name]) for name, value in optax.apply_updates(logs, updates).items()}
     return settled(configuration, {name: jnp.exp(value) for name, value in best.items()})
-
-
-def _bounded(name: str, log: Array) -> Array:
-    tried = choice_named(name).tried
-    assert tried is not None
-    low, high = tried.values
-    return jnp.clip(log, np.log(low), np.log(high))
 
 
 def lit_case(configuration: Configuration, judge: Judge, case: FrameCase) -> tuple[LitFrame, Target, Configuration]:

@@ -7,15 +7,8 @@ from pathlib import Path
 
 from hyjax.configuration import Configuration
 from hyjax.metrics import plain_metrics
-from hyjax.tuning.report_page import Example, contact_sheet_rows, page
-from hyjax.tuning.report_text import (
-    best_for,
-    candidates,
-    choices_text,
-    configuration_text,
-    on_front,
-    summary,
-)
+from hyjax.tuning.report_page import contact_sheet_rows, page
+from hyjax.tuning.report_text import best_for, candidates, choices_text, configuration_text, on_front, summary
 from hyjax.tuning.result import Candidate, Tuned
 from hyjax.tuning.settings import BudgetStage
 from hyjax.util.contact_sheet import write_contact_sheet
@@ -67,10 +60,9 @@ def write_results(out: Path, tuned: Tuned) -> None:
     figure = draw_front_plot(tuned)
     with atomic_write(out / "pareto.png") as temporary:
         figure.savefig(temporary, dpi=200)
-    examples = [Example(name, pictures) for name, pictures in tuned.examples]
-    if examples:
-        write_contact_sheet(out / "contact_sheet.png", *contact_sheet_rows(examples))
-    write_text(out / REPORT_FILE, page(tuned, examples))
+    if tuned.examples:
+        write_contact_sheet(out / "contact_sheet.png", *contact_sheet_rows(tuned.examples))
+    write_text(out / REPORT_FILE, page(tuned, tuned.examples))
 
 
 def best_file(stage: BudgetStage) -> str:

@@ -1,11 +1,9 @@
 """Page of a tuning run, one file with all its pictures, and its contact sheet."""
 
 import base64
-import dataclasses
-import itertools
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,26 +25,16 @@ QUALITY = 90
 BLANK_GREY = 0.09
 
 
-@dataclasses.dataclass(frozen=True)
-class Example:
-    """One frame under one light set-up, relit in several ways.
-
-    Attributes:
-        name: such as "frame 12, evening-lamps".
-        pictures: heading → display-encoded picture, in the order they are shown. Compared first are the last ones
-            whose headings begin with "paper" and with "tuned".
-    """
-
-    name: str
-    pictures: Mapping[str, Float[np.ndarray, "h w 3"]]
+Example = tuple[str, Mapping[str, Float[np.ndarray, "h w 3"]]]
+"""Frame under a light set-up, by name, and its display-encoded pictures by heading, in the order they are shown."""
 
 
 def data_uris(examples: Sequence[Example], most_bytes: int = MOST_BYTES) -> list[dict[str, str]]:
     """Every picture as a `data:` address, by example and heading: as PNG if they fit, else as JPEG."""
     for kind, width in ENCODINGS:
         total, found = 0, []
-        for example in examples:
-            files = {heading: _encode(picture, kind, width) for heading, picture in example.pictures.items()}
+        for _, pictures in examples:
+            files = {heading: _encode(picture, kind, width) for heading, picture in pictures.items()}
             total += sum(len(content) for content in files.values())
             if total > most_bytes:
                 break
@@ -84,13 +72,11 @@ def contact_sheet_rows(
     examples: Sequence[Example],
 ) -> tuple[list[tuple[str, list[Float[np.ndarray, "h w 3"]]]], list[str]]:
     """Rows and headings for `write_contact_sheet`; a picture that an example lacks is blank."""
-    headings = list(dict.fromkeys(itertools.chain.from_iterable(example.pictures for example in examples)))
-
-    def pictures(example: Example) -> Iterator[Float[np.ndarray, "h w 3"]]:
-        blank = np.full_like(next(iter(example.pictures.values())), BLANK_GREY)
-        yield from (example.pictures.get(heading, blank) for heading in headings)
-
-    return [(example.name, list(pictures(example))) for example in examples], headings
+    headings, rows = list(dict.fromkeys(heading for _, pictures in examples for heading in pictures)), []
+    for name, pictures in examples:
+        blank = np.full_like(next(iter(pictures.values())), BLANK_GREY)
+        rows.append((name, [pictures.get(heading, blank) for heading in headings]))
+    return rows, headings
 
 
 def machine(record: Mapping[str, Any]) -> str:
@@ -141,7 +127,7 @@ def page(tuned: Tuned, examples: Sequence[Example]) -> str:
             found=list(zip(tuned.budgets, tuned.best, strict=True)),
             rows=rows,
             trials=[(text.choices_text(trial.choices, default), trial) for trial in tuned.trials],
-            examples=[(e, uris, pair_to_compare(list(uris))) for e, uris in zip(examples, data_uris(examples))],
+            examples=[(e[0], uris, pair_to_compare(list(uris))) for e, uris in zip(examples, data_uris(examples))],
             plots=plots,
             scores=(scores := score_forms(tuned)),
             columns=[label for label, _ in scores.values()],

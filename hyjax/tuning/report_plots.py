@@ -108,21 +108,8 @@ def _points(tuned: Tuned, scores: Callable[[Candidate], dict[str, float] | None]
     for kind, candidate in candidates(tuned):
         values, time, best = scores(candidate), candidate.time, bool(best_for(tuned, candidate))
         if values is not None:
-            front, named = on_front(tuned, candidate), best or kind != "tuned"
-            label = candidate.name
-            found.append(
-                Point(
-                    label,
-                    kind,
-                    time.median,
-                    time.judged,
-                    values["relative"],
-                    measured=not time.predicted,
-                    best=best,
-                    front=front,
-                    named=named,
-                )
-            )
+            place = candidate.name, kind, time.median, time.judged, values["relative"], not time.predicted
+            found.append(Point(*place, best, on_front(tuned, candidate), named=best or kind != "tuned"))
     return found
 
 

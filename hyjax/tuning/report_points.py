@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
+from matplotlib.transforms import Bbox
 
 from hyjax.tuning.request import Budget
 
@@ -24,13 +25,6 @@ from hyjax.tuning.request import Budget
 COLORS = {"tuned": "#0072b2", "paper": "#d55e00", "naive": "#009e73", "preset": "#cc79a7"}
 INK, PALE_INK, GRID, GROUND = "#1b1f24", "#5b6570", "#d9dee3", "#fefefe"
 FONT = 10
-
-
-def style_legend(legend: Any) -> None:
-    """Our ink, and texts taken as they are."""
-    for text in legend.get_texts():
-        text.set_color(INK)
-        text.set_parse_math(False)
 
 
 def style(axes: Axes) -> None:
@@ -50,14 +44,9 @@ def log_x(axes: Axes, values: list[float]) -> None:
     widen = max(1.0, 4 / (high / low)) ** 0.5
     axes.set_xscale("log")
     axes.set_xlim(low / widen, high * widen)
-    plain_ticks(axes.xaxis, high / low)
-
-
-def plain_ticks(axis: Any, ratio: float) -> None:
-    """Ticks at 1, 2 and 5 times powers of ten, as plain numbers."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 2000 else (1.0,)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high / low < 2000 else (1.0,)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def fixed_ticks(axis: Any, values: Sequence[float]) -> None:
@@ -95,8 +84,6 @@ MARKERS = {"tuned": "o", "preset": "^", "paper": "s", "naive": "D"}
 # Where a label may go beside its marker, in points, best first.
 PLACES = [(9, 0), (8, 10), (8, -10), (-9, 0), (-8, 10), (-8, -10), (0, 14), (0, -14)]
 PLACES += [(14, 22), (14, -22), (-14, 22), (-14, -22), (22, 0), (26, 12), (26, -12)]
-
-_Box = tuple[float, float, float, float]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,25 +146,25 @@ def name_points(axes: Axes, points: list[Point], budgets: list[float]) -> None:
     def place(x: float, y: float) -> np.ndarray:
         return np.asarray(axes.transData.transform((x, y)))
 
-    solid: list[_Box] = []
+    solid: list[Bbox] = []
     for point in points:
         x, y = place(point.x, point.y)
-        solid.append((x - 6 * scale, y - 6 * scale, x + 6 * scale, y + 6 * scale))
-        solid.append((x, y - scale, place(point.p95, point.y)[0], y + scale))
+        solid.append(Bbox.from_extents(x - 6 * scale, y - 6 * scale, x + 6 * scale, y + 6 * scale))
+        solid.append(Bbox.from_extents(x, y - scale, place(point.p95, point.y)[0], y + scale))
     line = [place(point.x, point.y) for point in sorted(points, key=lambda point: point.x) if point.front]
     dots = [a + (b - a) * t for a, b in itertools.pairwise(line) for t in np.linspace(0, 1, 50)]
-    thin: list[_Box] = [(x, y, x, y) for x, y in dots]
-    thin += [(x, inside.y0, x, inside.y1) for x, _ in (place(budget, axes.get_ylim()[0]) for budget in budgets)]
+    thin = [Bbox.from_extents(x, y, x, y) for x, y in dots]
+    for x, _ in (place(budget, axes.get_ylim()[0]) for budget in budgets):
+        thin.append(Bbox.from_extents(x, inside.y0, x, inside.y1))
     for point in sorted((p for p in points if p.named), key=lambda p: not p.best):
         tries = []
         for rank, (dx, dy) in enumerate(PLACES):
             text = _write(axes, point, dx, dy)
-            left, low, right, high = (float(value) for value in text.get_window_extent().extents)
+            box = text.get_window_extent()
             text.remove()
-            box = (left, low, right, high)
-            outside = left < inside.x0 or right > inside.x1 or low < inside.y0 or high > inside.y1
-            crossed = sum(_overlap(box, other) for other in solid)
-            cost = 30 * outside + 4 * crossed + 2 * any(_overlap(box, other) for other in thin) + 0.3 * rank
+            outside = box.x0 < inside.x0 or box.x1 > inside.x1 or box.y0 < inside.y0 or box.y1 > inside.y1
+            crossed = sum(map(box.overlaps, solid))
+            cost = 30 * outside + 4 * crossed + 2 * any(map(box.overlaps, thin)) + 0.3 * rank
             tries.append((cost, dx, dy, box))
         _, dx, dy, box = min(tries)
         _write(axes, point, dx, dy)
@@ -201,10 +188,6 @@ def _write(axes: Axes, point: Point, dx: float, dy: float) -> Text:
     text.set_in_layout(False)
     text.set_path_effects([withStroke(linewidth=3, foreground=GROUND)])
     return text
-
-
-def _overlap(a: _Box, b: _Box) -> bool:
-    return a[0] <= b[2] and b[0] <= a[2] and a[1] <= b[3] and b[1] <= a[3]
 
 
 def name_budgets(axes: Axes, budgets: Sequence[Budget]) -> None:
@@ -256,4 +239,6 @@ def legend(figure: Figure, points: Sequence[Point], texts: Mapping[str, str], *,
         legend = figure.legend(
             handles=entries, loc="outside lower center", ncols=3, fontsize=FONT - 0.5, frameon=False
         )
-        style_legend(legend)
+        for written in legend.get_texts():
+            written.set_color(INK)
+            written.set_parse_math(False)

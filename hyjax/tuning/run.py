@@ -76,6 +76,7 @@ class Run:
     ) -> None:
         self.stage, self.settings, self.budgets, self.monitor = stage, settings, list(budgets), monitor
         self._environment, self._kept = environment(), Choices()
+        self._further = list(EXTRA_BUDGETS if settings.extra else ())
         self._state: State | None = None
         self._base: FrameTime | None = None
         self._checked = False
@@ -87,8 +88,8 @@ class Run:
 
     def run(self) -> Tuned:
         """Search, refine, prove, write."""
-        references = len(self.stage.references())
-        parts = 1 + self.settings.frame.trial_count + 2 * len(self._relative_limits()) + 2 * references
+        limits, references = len(self.budgets) + len(self._further), len(self.stage.references())
+        parts = 1 + self.settings.frame.trial_count + 2 * limits + 2 * references
         try:
             with self.monitor.watching(parts):
                 return self._run()
@@ -107,10 +108,6 @@ class Run:
         """Words on what an unfinished run leaves."""
         out = self.settings.out
         return f"; {out / best_file(self.stage.name)} is the best so far" if self._kept and out else ""
-
-    def _relative_limits(self) -> list[float]:
-        """Placeholders of the budgets' limits, and further limits over the default's time."""
-        return [math.nan] * len(self.budgets) + list(EXTRA_BUDGETS if self.settings.extra else ())
 
     def _run(self) -> Tuned:
         study = self._study(self.stage.name, resume=self.settings.resume)
@@ -131,7 +128,7 @@ class Run:
         self._so_far = functools.partial(
             unfinished, base=base, budgets=self.budgets, limits=limits, record=self._record()
         )
-        limits = [*limits, *(EXTRA_BUDGETS if self.settings.extra else ())]
+        limits = [*limits, *self._further]
         state = self._searched(self.stage.space, study, limits, keep=True)
         candidates, state = self._finalists(state, study, limits)
         self._time_was_up = self.monitor.expired()
@@ -328,7 +325,7 @@ class Run:
             "settings": self.settings.record(),
             "cases": len(self.stage.cases),
             "held-out cases": len(self.stage.held_out),
-            "further budgets": list(EXTRA_BUDGETS if self.settings.extra else ()),
+            "further budgets": self._further,
             "cores": cores(),
         }
         return record | self._environment | self.stage.record()

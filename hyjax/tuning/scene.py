@@ -13,7 +13,6 @@ from hyjax.data.capture import Capture
 from hyjax.data.truth_room import TruthCapture, load_truth_room
 from hyjax.light.color import to_display
 from hyjax.light.relit import relit_picture
-from hyjax.light.setup import LightSetup
 from hyjax.scene.alignment import aligned
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
@@ -51,6 +50,10 @@ class TuningScene:
     With a room of known truth the target is the true picture under the new lights. Else it is what an accurate
     surface makes of the frame, the photo's light left in on both sides: how well that is told, no capture says.
 
+    Attributes:
+        setup: function from a name, or a file, to the light set-up; kept.
+        target: function from a set-up's name and a frame's position to the `Target`; kept.
+
     Args:
         accurate: the same capture on an accurate surface; None for a room of known truth.
     """
@@ -58,8 +61,8 @@ class TuningScene:
     def __init__(self, name: str, scene: Scene, accurate: Scene | None = None) -> None:
         self.name, self.scene, self.accurate = name, scene, accurate
         scene.kept_maps.most = KEPT_MAPS
-        self._target = functools.lru_cache(maxsize=None)(self._make_target)
-        self._setup = functools.lru_cache(maxsize=None)(functools.partial(scene.lights, at_photo_sources=True))
+        self.setup = functools.cache(functools.partial(scene.lights, at_photo_sources=True))
+        self.target = functools.cache(self._target)
 
     def __len__(self) -> int:
         return len(self.scene)
@@ -69,23 +72,15 @@ class TuningScene:
         """Whether the true pictures are known."""
         return self.accurate is None
 
-    def setup(self, lights: str) -> LightSetup:
-        """Light set-up by name, or from a file; kept."""
-        return self._setup(lights)
-
-    def target(self, lights: str, index: int) -> Target:
-        """Target of a frame under a set-up; kept."""
-        return self._target(lights, index)
-
     def relighter(self, lights: str, configuration: Configuration) -> Relighter:
         """Relighter of the frames under a configuration, to be timed."""
         return Relighter(self.scene, self.setup(lights), configuration)
 
     def judged(self, configuration: Configuration) -> Configuration:
         """Configuration as its pictures are compared: without choices that this scene's targets cannot judge."""
-        return configuration if self.has_truth else with_photo_light(configuration)
+        return configuration if self.has_truth else configuration.with_choices({"photo_light": "kept"})
 
-    def _make_target(self, lights: str, index: int) -> Target:
+    def _target(self, lights: str, index: int) -> Target:
         capture, setup = self.scene.capture, self.setup(lights)
         if self.accurate is None:
             assert isinstance(capture, TruthCapture)
@@ -97,11 +92,6 @@ class TuningScene:
         illuminance, visibility = shaded.illuminance, shaded.visibility  # nothing is refined
         _, image = run_kept(relit_picture, view.frame, shaded, illuminance, visibility)
         return Target(np.asarray(to_display(image)), np.asarray(view.gbuffer.hit), False)
-
-
-def with_photo_light(configuration: Configuration) -> Configuration:
-    """The configuration with the photo's light left in."""
-    return configuration.with_choices({"photo_light": "kept"})
 
 
 def open_room(name: str, size: str | None = None, seed: int = 0) -> TuningScene:

@@ -180,8 +180,8 @@ class OwnTimes:
     fingerprint: str = ""
 
     def __call__(self, case: Case) -> ScheduleClock:
-        """Clock for frames like this one."""
-        machine, workload = ThisMachine(case.cascade_arguments, self.progress), workload_of(case)
+        arguments, workload = (case.shaded.illuminance, case.shaded.confidence, case.guide), workload_of(case)
+        machine = ThisMachine(arguments, self.progress)
         latency, origin = kept_latency(machine, workload, self.recalibrate)
         return ScheduleClock(latency, workload, origin, engine=machine)
 
@@ -195,11 +195,9 @@ class FileTimes:
 
     @property
     def fingerprint(self) -> str:
-        """Fingerprint of the times."""
         return read_latency(self.path).fingerprint
 
     def __call__(self, case: Case) -> ScheduleClock:
-        """Clock for frames like this one."""
         latency = read_latency(self.path)
         return ScheduleClock(latency, workload_of(case), str(self.path), whole_frame=self.whole_frame)
 
@@ -220,7 +218,6 @@ class ConnectedTimes:
     fingerprint: str = "measured by the run"
 
     def __call__(self, case: Case) -> ScheduleClock:
-        """Clock for frames like this one."""
         workload = workload_of(case)
         if self.kept is not None and self.resume and self.kept.exists():
             latency, origin = read_latency(self.kept), str(self.kept)

@@ -60,7 +60,7 @@ class State:
         cost: time of choices over the default's where it is known; else the surrogate tells it.
         trials: so far, by key of their choices.
         tried: (improvement, key of the choices) that were asked for.
-        closed: whether only the best are judged on more cases.
+        closed: whether the time is up: the best of each budget go through all cases, nothing else is tried.
     """
 
     space: Space
@@ -115,11 +115,6 @@ def update(state: State, trial: Trial) -> State:
     return dataclasses.replace(state, trials={**state.trials, key: trial}, tried=tried)
 
 
-def close(state: State) -> State:
-    """State whose time is up: the best of each budget goes through all cases, nothing else is tried."""
-    return dataclasses.replace(state, closed=True)
-
-
 def propose(state: State, budgets: Sequence[float]) -> Proposed | None:
     """Next trial for budgets of time, relative to the default's; None where the search is at its end.
 
@@ -166,14 +161,10 @@ def search(
     report: Callable[[State, Trial], None] = lambda state, trial: None,
     expired: Callable[[], bool] = lambda: False,
 ) -> State:
-    """The whole loop.
-
-    Args:
-        report: called with the state after each trial.
-    """
+    """The whole loop; `report` is called after each trial."""
     while True:
         if state.trials and expired():
-            state = close(state)
+            state = dataclasses.replace(state, closed=True)
         proposed = propose(state, budgets)
         if proposed is None:
             return state
@@ -238,10 +229,6 @@ def _new_best(state: State, budgets: Sequence[float]) -> Proposed | None:
     return None
 
 
-def _rng(state: State) -> np.random.Generator:
-    return np.random.default_rng([state.seed, len(state.trials)])
-
-
 def _screened(state: State, budget: float) -> Choices | None:
     """The next change of one choice, one value of each parameter after the other's; None when all were tried."""
     base = _start(state, budget).choices
@@ -300,7 +287,7 @@ def _combined(state: State, budget: float) -> tuple[Choices, float] | None:
 
 def _pool(state: State, loss: Surrogate, time: Times, budget: float) -> list[Choices]:
     """Combinations of the best trials, mutated and crossed, and of the most promising single choices."""
-    space, rng = state.space, _rng(state)
+    space, rng = state.space, np.random.default_rng([state.seed, len(state.trials)])
     tried = sorted(state.trials.values(), key=lambda t: t.loss + 10.0 * ((t.time or 1.0) > budget))[:8]
     climbed = _climbed(state, tried[0].choices, loss, time, budget)
     sources = [*(t.choices for t in tried), climbed]

@@ -4,7 +4,7 @@ import abc
 import dataclasses
 import logging
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -191,7 +191,8 @@ class FrameStage(Stage):
         cases = self.cases[:POLISH_CASES]
         better = refine_numbers(configuration, self._judge, cases, levels=True, expired=expired)
         before, after = (
-            _mean_log(self.judge.scores(candidate, self.cases)) for candidate in (configuration, better)
+            np.mean([math.log(row["loss"]) for row in self.judge.scores(candidate, self.cases)])
+            for candidate in (configuration, better)
         )
         return better if after < before else configuration
 
@@ -216,23 +217,14 @@ class FrameStage(Stage):
 
     def decisive(self) -> dict[str, Any]:
         scenes = self.bench.scenes
-        surfaces = [
-            [
-                tuned_scene.scene.caster.arrays.key,
-                None if tuned_scene.accurate is None else tuned_scene.accurate.caster.arrays.key,
-            ]
-            for tuned_scene in scenes
-        ]
-        setups = {
-            name: [digest([str(tuned_scene.setup(name))]) for tuned_scene in scenes]
-            for name in self.settings.set_ups()
-        }
+        pairs = [(scene.scene, scene.accurate) for scene in scenes]
+        keys = [[None if surface is None else surface.caster.arrays.key for surface in pair] for pair in pairs]
+        names = self.settings.set_ups()
+        setups = {name: [digest([str(scene.setup(name))]) for scene in scenes] for name in names}
         return {
             "scenes": [[scene.name, scene.scene.capture.fingerprint] for scene in scenes],
-            "surfaces": surfaces,
-            "sizes": [
-                None if tuned_scene.scene.size is None else list(tuned_scene.scene.size) for tuned_scene in scenes
-            ],
+            "surfaces": keys,
+            "sizes": [None if rough.size is None else list(rough.size) for rough, _ in pairs],
             "lights": setups,
             "cases": [list(case) for case in self.cases],
             "lpips": self.settings.frame.lpips,
@@ -252,10 +244,6 @@ class FrameStage(Stage):
 
     def prediction_errors(self, state: State, tuned: Sequence[Candidate]) -> list[float]:
         return [abs(guess / true - 1) for guess, true in state.predictions]
-
-
-def _mean_log(rows: Sequence[Mapping[str, float]]) -> float:
-    return float(np.mean([math.log(row["loss"]) for row in rows]))
 
 
 def check_reachable(budgets: Sequence[Budget], base: FrameTime, space: Space, clock: Clock) -> None:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from hyjax.tuning.budget import MOST_STEPS
-from hyjax.tuning.space import Choices, Parameter, Space, key_of
+from hyjax.tuning.space import Parameter, Space, key_of
 from hyjax.tuning.trial import Trial
 from hyjax.util.errors import InputError
 from hyjax.util.extras import optional_module
@@ -67,17 +67,14 @@ class Study:
             return
         check_installed()
         import optuna
-        from optuna.storages import JournalStorage
-        from optuna.storages.journal import JournalFileBackend
 
-        optuna.logging.set_verbosity(optuna.logging.ERROR)
         path = folder / FILE_NAME
         check_free(folder, resume)
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if path.exists():
                 _cut_to_lines(path)
-            storage = JournalStorage(JournalFileBackend(str(path)))
+            storage = _storage(path)
             if name in optuna.get_all_study_names(storage):  # a run that is refused writes nothing
                 self._study = optuna.load_study(study_name=name, storage=storage)
             else:
@@ -155,6 +152,14 @@ class Study:
             raise _unwritable(error) from None
 
 
+def _storage(path: Path) -> "optuna.storages.JournalStorage":
+    import optuna
+    from optuna.storages.journal import JournalFileBackend
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    return optuna.storages.JournalStorage(JournalFileBackend(str(path)))
+
+
 def _unwritable(error: OSError) -> InputError:
     return InputError(f"{FILE_NAME}: cannot write ({error.strerror or error})")
 
@@ -173,14 +178,11 @@ def kept_trials(path: Path, name: str = "frame") -> list[Trial]:
     """Trials of a journal of any machine and settings, to be read only."""
     check_installed()
     import optuna
-    from optuna.storages import JournalStorage
-    from optuna.storages.journal import JournalFileBackend
 
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
     check_regular(path)
     found: dict[str, Trial] = {}
     try:
-        study = optuna.load_study(study_name=name, storage=JournalStorage(JournalFileBackend(str(path))))
+        study = optuna.load_study(study_name=name, storage=_storage(path))
         for kept in study.get_trials(deepcopy=False):
             trial, _ = _trial(kept)
             before = found.get(key := key_of(trial.choices))
@@ -199,7 +201,8 @@ def _trial(kept: "optuna.trial.FrozenTrial") -> tuple[Trial, str]:
     if "results" in attributes:  # of versions 1 and 2, in which each batch was a trial of its own
         results = attributes["results"].items()
         losses = [loss for of, several in results if of.startswith("losses ") for loss in several]
-        return Trial(_named(kept.params), attributes["phase"], tuple(losses), values[1]), ""
+        choices = {name.replace(" ", "_"): value for name, value in kept.params.items()}  # version 1 had blanks
+        return Trial(choices, attributes["phase"], tuple(losses), values[1]), ""
     trial = msgspec.convert({name: attributes[name] for name in KEPT_FIELDS}, Trial)
     choices = {name: tuple(v) if isinstance(v, list) else v for name, v in trial.choices.items()}
     return dataclasses.replace(trial, choices=choices), str(attributes["machine"])
@@ -215,11 +218,6 @@ def _merged(kept: Sequence[tuple[Trial, str]], machine: str) -> list[Trial]:
         old_time = found[key].time if key in found else None
         found[key] = dataclasses.replace(before, losses=losses, time=old_time if time is None else time)
     return list(found.values())
-
-
-def _named(choices: dict[str, Any]) -> Choices:
-    """Choices of a journal by today's names: those of version 1 had blanks."""
-    return {name.replace(" ", "_"): value for name, value in choices.items()}
 
 
 def _distribution(parameter: Parameter) -> "optuna.distributions.BaseDistribution":

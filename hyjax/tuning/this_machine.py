@@ -100,18 +100,13 @@ def kept_latency(
 ) -> tuple[DeviceLatency, str]:
     """Times of this machine: from the cache if they still hold, else measured and kept.
 
-    Args:
-        workload: the shapes.
-
     Returns:
         The times, and in a few words where they are from.
     """
     schedules = calibration_schedules(workload)
     request = latency_request(workload, schedules)
     path = _path(machine, request)
-    found: DeviceLatency | str = "asked for"
-    if not recalibrate:
-        found = _from_cache(path, machine, workload)
+    found = "asked for" if recalibrate else _from_cache(path, machine, workload)
     if isinstance(found, DeviceLatency):
         return found, f"from the cache (calibrated {found.created})"
     latency = machine.latency(request, schedules)

@@ -2,14 +2,15 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
-from typing import Any, Literal
+from collections.abc import Callable, Iterable, Sequence
+from typing import Literal, TypeVar
 
 import numpy as np
 
 from hyjax.tuning.space import Choices
 
 Improvement = Literal["", "numbers", "relaxed"]
+T = TypeVar("T")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,9 +46,14 @@ class Trial:
 
 def front_of_trials(trials: Sequence[Trial], *, cases: int = 1) -> list[Trial]:
     """Timed trials on at least so many cases that no other of them beats in both time and loss, by time."""
-    found: list[Trial] = []
-    done: list[Any] = [(trial.time, trial.loss, trial) for trial in trials if trial.time is not None]
-    for _, loss, trial in sorted((each for each in done if len(each[2].losses) >= cases), key=lambda e: e[:2]):
-        if not found or loss < found[-1].loss:
-            found.append(trial)
+    timed = [trial for trial in trials if trial.time is not None and len(trial.losses) >= cases]
+    return unbeaten(timed, lambda trial: (trial.time or 0.0, trial.loss))
+
+
+def unbeaten(several: Iterable[T], place: Callable[[T], tuple[float, float]]) -> list[T]:
+    """Those that no other beats in both numbers of its place, such as time and loss, by the first number."""
+    found: list[T] = []
+    for each in sorted(several, key=place):
+        if not found or place(each)[1] < place(found[-1])[1]:
+            found.append(each)
     return found

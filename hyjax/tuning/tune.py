@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -110,15 +110,11 @@ def _latency_source(settings: TuneSettings) -> Iterator[LatencySource]:
         return
     from hyjax.tuning.device_measuring import ConnectedDevice
 
-    device = ConnectedDevice(other.host, other.port, _say)
+    device = ConnectedDevice(other.host, other.port, lambda line: write_above_bars(f"hyjax: {line}"))
     try:
         yield ConnectedTimes(device, settings.out and settings.out / "latency.json", settings.resume)
     finally:
         device.close()
-
-
-def _say(line: str) -> None:
-    write_above_bars(f"hyjax: {line}")
 
 
 def write_request(settings: TuneSettings, path: Path) -> "LatencyRequest":
@@ -139,13 +135,6 @@ def _settings(
     settings: TuneSettings | None, fps: float | Sequence[float] | None, budget_ms: float | Sequence[float] | None
 ) -> TuneSettings:
     """Settings with budgets in the place of theirs."""
-    settings = settings or TuneSettings()
-    if fps is not None:
-        settings = dataclasses.replace(settings, fps=_several(fps))
-    if budget_ms is not None:
-        settings = dataclasses.replace(settings, budget_ms=_several(budget_ms))
-    return settings
-
-
-def _several(values: float | Sequence[float]) -> tuple[float, ...]:
-    return tuple(float(value) for value in np.atleast_1d(np.asarray(values, float)))
+    given = {name: value for name, value in (("fps", fps), ("budget_ms", budget_ms)) if value is not None}
+    budgets: Any = {name: tuple(np.atleast_1d(np.asarray(value, float)).tolist()) for name, value in given.items()}
+    return dataclasses.replace(settings or TuneSettings(), **budgets)

@@ -76,7 +76,7 @@ def nearest(origin: np.ndarray, ray: np.ndarray, corners: np.ndarray) -> float:
 
 def test_depth_is_that_of_the_triangles(lit: LitRoom) -> None:
     camera, shot = camera_of(lit, 0), photograph(lit, 0, SIZE)
-    mesh = lit.room.furnished.mesh
+    mesh = lit.room.surface.mesh
     corners, rays = np.asarray(mesh.vertices)[mesh.faces], camera.rays()
     rng = np.random.default_rng(0)
     wrong = 0

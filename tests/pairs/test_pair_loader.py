@@ -13,9 +13,9 @@ from PIL import Image
 
 from hyjax.pairs import augmentation
 from hyjax.pairs import loader as pair_loader
-from hyjax.pairs.augmentation import LEAST_VALID, Packed, color_matrix, random_crop, recolored
+from hyjax.pairs.augmentation import LEAST_VALID, Crop, Packed, color_matrix, random_crop, recolored
 from hyjax.pairs.depth_pairs import DepthPair, Unit, masked_pair
-from hyjax.pairs.loader import Batch, PairLoader
+from hyjax.pairs.loader import PairLoader
 from hyjax.util.errors import InputError
 
 HEIGHT, WIDTH = 60, 80
@@ -54,16 +54,16 @@ def packed(pair: DepthPair) -> Packed:
     return Packed(np.round(pair.image * 255).astype(np.uint8), pair.depth, None, pair.unit == "disparity")
 
 
-def numbers(batch: Batch) -> list[int]:
+def numbers(batch: Crop) -> list[int]:
     """Which pairs the crops are from."""
     return [int(depth.max()) - 1 for depth in batch.depth]
 
 
-def take(loader: PairLoader, count: int) -> list[Batch]:
+def take(loader: PairLoader, count: int) -> list[Crop]:
     return [next(loader) for _ in range(count)]
 
 
-def equal(some: Sequence[Batch], others: Sequence[Batch]) -> bool:
+def equal(some: Sequence[Crop], others: Sequence[Crop]) -> bool:
     return len(some) == len(others) and all(
         np.array_equal(x, y) for a, b in zip(some, others) for x, y in zip(a, b)
     )

@@ -22,7 +22,7 @@ from reference.toy_encoder import ToyEncoder
 
 from hyjax.cli import Train, main, parse
 from hyjax.guide import ENCODERS, load_guide
-from hyjax.pairs.loader import Batch
+from hyjax.pairs.augmentation import Crop
 from hyjax.training.checkpoints import Checkpoints
 from hyjax.training.objective import batch_losses, border_loss, schedule_of, total
 from hyjax.training.run import train
@@ -258,7 +258,7 @@ def test_a_loss_that_is_not_finite_stops_the_run_and_keeps_the_last_good_state(
 ) -> None:
     count = itertools.count()
 
-    def poisoned(batch: Batch) -> Sample:
+    def poisoned(batch: Crop) -> Sample:
         sample = sample_of(batch)
         return sample._replace(image=sample.image * jnp.nan) if next(count) == sound else sample
 

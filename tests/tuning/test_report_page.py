@@ -20,7 +20,7 @@ def examples(count: int = 2, height: int = 24, width: int = 32, seed: int = 0) -
     rng = np.random.default_rng(seed)
     headings = ["frame", "paper-50 filter", "tuned filter", "paper-50", "tuned", f"target {RUDE}"]
     return [
-        Example(
+        (
             f"frame {i} {RUDE}",
             {heading: rng.uniform(-0.1, 1.1, (height, width, 3)).astype(np.float32) for heading in headings},
         )
@@ -38,9 +38,10 @@ def test_templates_escape_all_but_markup(tmp_path: Path) -> None:
 def test_pictures_are_lossless_where_they_fit(tmp_path: Path) -> None:
     (example,) = examples(1)
     (uris,) = data_uris([example])
-    assert list(uris) == list(example.pictures)
+    _, pictures = example
+    assert list(uris) == list(pictures)
     for heading, uri in uris.items():
-        np.testing.assert_allclose(decode(uri, tmp_path), np.clip(example.pictures[heading], 0, 1), atol=0.51 / 255)
+        np.testing.assert_allclose(decode(uri, tmp_path), np.clip(pictures[heading], 0, 1), atol=0.51 / 255)
 
 
 def test_pictures_shrink_until_they_fit(tmp_path: Path) -> None:
@@ -75,10 +76,10 @@ def test_pair_to_compare(headings: list[str], pair: tuple[int, int]) -> None:
 
 def test_contact_sheet(tmp_path: Path) -> None:
     one, two = examples(2)
-    two = Example(two.name, dict(itertools.islice(two.pictures.items(), 2)))
+    two = two[0], dict(itertools.islice(two[1].items(), 2))
     rows, headings = contact_sheet_rows([one, two])
-    assert headings == list(one.pictures) and [len(pictures) for _, pictures in rows] == [6, 6]
-    assert [label for label, _ in rows] == [one.name, two.name]
+    assert headings == list(one[1]) and [len(pictures) for _, pictures in rows] == [6, 6]
+    assert [label for label, _ in rows] == [one[0], two[0]]
     write_contact_sheet(tmp_path / "contact_sheet.png", rows, headings)
     np.testing.assert_allclose(
         read_image(tmp_path / "contact_sheet.png"), contact_sheet(rows, headings), atol=0.6 / 255
