@@ -45,7 +45,7 @@ from hyjax.tour.picture import (
 )
 from hyjax.tour.placement import place_lamp, sunny_plan
 from hyjax.tour.plan import LampKind, TourPlan
-from hyjax.tour.uncovered import Source, with_uncovered
+from hyjax.tour.uncovered import Source, extend_planes, uncovered_pixels, with_uncovered
 from hyjax.tour.viewpoint import Viewpoint
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
@@ -257,6 +257,10 @@ class Renderer:
         )
         with clock("g-buffer"):
             seen = merge_gbuffers([part.gbuffer(camera) for part in own.parts.parts])
+            if plan.pieces:  # floor and walls go on where the scan has a hole beneath them
+                (scanned,) = self.scene.apply(TourPlan()).parts
+                uncovered = uncovered_pixels(seen, scanned.gbuffer(camera), self.scene.caster)
+                seen = extend_planes(seen, uncovered, camera, self.scene.planes)
         light, albedo = None, jnp.float32(ALBEDO)
         with clock("photo light"):
             if self.photo_light is not None:

@@ -1,5 +1,6 @@
 """What a photo does not show once furniture has moved: drawn from other frames; grey where none saw it."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -173,3 +174,14 @@ def test_planes_go_on_where_the_scan_has_a_hole(camera: Camera) -> None:
     assert np.quantile(np.abs(picture - truth)[covered & ~grey], 0.95) < 0.03
     red = np.abs(picture - before).max(axis=-1) < 0.05
     assert not (covered & red).any(), "nothing is left of the cube"
+
+
+def test_planes_go_on_for_a_camera_that_flies() -> None:
+    """Above the cube."""
+    renderer = Renderer(Scene(Painted(), box_with_cube(hole=True)), keep_photo_light=True)
+    camera = Camera(K, look_at(TOP + LIFT + [0.0, -0.3, 1.0], TOP + LIFT, UP))
+    shown = [
+        renderer.render(plan, dataclasses.replace(VIEW, camera=camera)).linear.min(axis=-1) > 0
+        for plan in (replace(GONE, pieces=()), GONE)
+    ]
+    assert shown[1][shown[0]].all(), "no new hole is left"
