@@ -97,6 +97,7 @@ class TouchScreen:
 @contextlib.contextmanager
 def touch_screen() -> Iterator[TouchScreen]:
     """A Firefox with a touch screen."""
+    need("tour")
     from websockets.sync.client import connect
 
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hyjax.util.errors import InputError
-from hyjax.util.files import write_text
+from hyjax.util.files import make_writable, write_text
 
 SINGLE_SUFFIX = ".html"
 """Ending of an `--out` that is a single file."""
@@ -32,6 +32,7 @@ def check_single_file(out: Path) -> None:
     """Raise `InputError` unless a single file can be written there: nothing is, or an earlier one."""
     if out.is_dir():
         raise InputError(f"{out}: is a folder; choose another --out")
+    make_writable(out.parent)
     if out.exists() and _GENERATOR not in out.read_text(encoding="utf-8", errors="replace"):
         raise InputError(f"{out}: is no page of hyjax; choose another --out")
 
@@ -49,17 +50,18 @@ def single_page(folder: Path) -> str:
 
     Scripts find each other by an import map, and the page its data by their names, see `read` of scene.js.
     """
-    content = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    files = (path for path in folder.rglob("*") if path.is_file())
+    content = {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
     html, style = (content.pop(name).decode() for name in ("index.html", "style.css"))
     imports = {}
     for name in [name for name in content if name.endswith(".js")]:
         script = _IMPORT.sub(r'\1"hyjax/', content.pop(name).decode())
         imports[f"hyjax/{name}"] = _data_url(name, script.encode())
     data = {name: _data_url(name, each) for name, each in content.items() if not name.endswith(".md")}
-    fetched = {name: url for name, url in data.items() if f'"{name}"' not in html}
+    read = {name: url.partition(",")[2] for name, url in data.items() if f'"{name}"' not in html}
     scripts = (
         _json_script("importmap", {"imports": imports}),
-        _json_script('application/json" id="files', fetched),
+        _json_script('application/json" id="files', read),
         '<script type="module">import "hyjax/main.js";</script>',
     )
     for old, new in {
@@ -78,4 +80,5 @@ def _data_url(name: str, content: bytes) -> str:
 
 
 def _json_script(kind: str, content: object) -> str:
-    return f'<script type="{kind}">{json.dumps(content)}</script>'
+    text = json.dumps(content).replace("<", "\\u003c")  # a name may hold what ends a script
+    return f'<script type="{kind}">{text}</script>'

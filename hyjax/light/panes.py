@@ -71,7 +71,7 @@ def open_shares(
     pose: Float[Array, "4 4"],
     intrinsics: Float[Array, "3 3"],
 ) -> Float[Array, "n h w"]:
-    """Share of each pane in each pixel, in [0, 1], where it is bright or the scan has a hole."""
+    """Share of each pane in each pixel, in [0, 1], where it is bright or the scan has a hole; see `pane_shares`."""
     shown = jnp.where(gbuffer.hit, ramp(jnp.min(frame, axis=-1), PANE_DARK, PANE_BRIGHT), 1.0)
     return _covers(panes, bars, gbuffer, pose, intrinsics)[0] * shown
 

@@ -4,7 +4,6 @@ A message is a line of JSON, then the bytes of its parts, whose lengths the line
 message is skipped up to the next line that does, with a line on stderr.
 """
 
-import io
 import json
 import logging
 from collections.abc import Iterator
@@ -54,7 +53,6 @@ def write_live_frame(stream: BinaryIO, frame: Frame) -> None:
 
 def read_live_frames(stream: BinaryIO) -> Iterator[Frame]:
     """Frames from messages, until the stream ends; damaged ones are skipped with a line."""
-    stream = io.BufferedReader(stream) if isinstance(stream, io.RawIOBase) else stream  # which reads all bytes
     skipping = False
     while line := stream.readline(LONGEST_LINE):
         header = _header(line)
@@ -65,7 +63,7 @@ def read_live_frames(stream: BinaryIO) -> Iterator[Frame]:
             continue
         skipping = False
         sizes = [header.get(key, 0) for key in ("picture_bytes", "depth_bytes")]
-        picture, depth = (stream.read(size) for size in sizes)
+        picture, depth = (_exactly(stream, size) for size in sizes)
         if [len(picture), len(depth)] != sizes:
             _log.warning("live: the stream ends within a message")
             return
@@ -88,6 +86,14 @@ def _header(line: bytes) -> dict[str, Any] | None:
         return None
     sizes = [header.get(key, 0) for key in ("picture_bytes", "depth_bytes")]
     return header if all(type(size) is int and 0 <= size <= LARGEST_PART for size in sizes) else None
+
+
+def _exactly(stream: BinaryIO, count: int) -> bytes:
+    """So many bytes, or fewer where the stream ends: a read of a pipe may bring a part of them."""
+    content = b""
+    while len(content) < count and (part := stream.read(count - len(content))):
+        content += part
+    return content
 
 
 def _frame(header: dict[str, Any], picture: bytes, depth: bytes) -> Frame:

@@ -169,7 +169,8 @@ def smoothed(
 def posed_pictures(capture: Capture, far: float) -> Iterator[Callable[[], dict[int, PosedPicture]]]:
     """Pictures spread over a capture that have a depth map of their moment, by their positions.
 
-    They are read on another thread during the block, which gets a function that waits for them.
+    Readings beyond `far` metres do not count. Pictures are read on another thread during the block, which gets a
+    function that waits for them.
     """
     count = len(capture)
     again = spread(range(count), FRAME_COUNT)

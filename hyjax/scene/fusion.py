@@ -64,7 +64,10 @@ class FusionPlan:
 
 
 class Readings:
-    """Chosen depth maps of a capture, read on demand; damaged ones are left out with a line."""
+    """Chosen depth maps of a capture, read on demand, and of readings those of a least confidence.
+
+    Damaged ones are left out with a line.
+    """
 
     def __init__(self, capture: Capture, indices: Sequence[int], confidence: float) -> None:
         self._capture, self._indices, self._confidence = capture, indices, confidence

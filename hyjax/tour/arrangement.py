@@ -166,7 +166,7 @@ class Arrangement:
     ) -> tuple[View, Shaded]:
         """Light on a frame; with the first arguments given, a `Shader`."""
         sampling = self._sampling
-        key = frame, sampling, self.configuration.scale
+        key = self._key(frame)
         samples = self._caches.frames(
             ("samples", key, self.parts.keys), lambda: run_kept(sample_pixels, view.gbuffer, sampling=sampling)
         )
@@ -216,9 +216,19 @@ class Arrangement:
         geometry = geometry_key(light)
         return not all((geometry, key, scale, most_views, False) in self._caches.maps for key in self.parts.keys)
 
-    def any_coarse(self, setup: LightSetup) -> bool:
-        """Whether a draft takes coarse shadow maps of any light."""
-        return any(self.is_coarse(light, *self._map_size) for light in setup.lights)
+    def any_coarse(self, setup: LightSetup, frame: int) -> bool:
+        """Whether a draft of a frame takes coarse shadow maps of any light, as its fine light is not kept."""
+        key = self._key(frame)
+
+        def is_kept(light: Light) -> bool:
+            names = ((geometry_key(light), key, self.parts.keys, casts) for casts in (True, False))
+            return any((name, False) in self._caches.layers for name in names)
+
+        return any(self.is_coarse(light, *self._map_size) and not is_kept(light) for light in setup.lights)
+
+    def _key(self, frame: int) -> Hashable:
+        """Key of light at a frame's samples."""
+        return frame, self._sampling, self.configuration.scale
 
     def _layer(self, light: Light, samples: GBuffer, key: Hashable, casts: bool) -> tuple[Hashable, Layer]:
         """Illuminance of a light of strength 1, and its visibility, with their key.

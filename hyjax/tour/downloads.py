@@ -3,9 +3,10 @@
 Files appear whole or not at all.
 """
 
+import contextlib
 import dataclasses
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -43,40 +44,34 @@ class Downloads:
     ) -> None:
         self._renderer, self._out, self._queue, self._write_page = renderer, out, queue, write_page
         self._lock, self._writing = threading.Lock(), threading.Lock()
-        self._making_video = False
+        self._making = set[str]()
 
     def answer(self, message: Message, viewpoint: Viewpoint, send: Callable[[Answer], None]) -> Answer | None:
-        """File that a message asks for; None for a video, which is sent when it is made."""
-        plan, renderer = message.plan, self._renderer
-        if message.task == "video":
+        """File that a message asks for; None for a video and a page, which are sent when they are made."""
+        task, plan, renderer = message.task, message.plan, self._renderer
+        if task in ("video", "page"):
             with self._lock:
-                if self._making_video:
-                    raise InputError("a video is being made; ask for the next one when it is there")
-                self._making_video = True
-            self._queue.add_job(self._video(message, viewpoint, send))
+                if task in self._making:
+                    raise InputError(f"a {task} is being made; ask for the next one when it is there")
+                self._making.add(task)
+            if task == "video":
+                self._queue.add_job(self._video(message, viewpoint, send))
+            else:
+                arguments = message, viewpoint, send
+                threading.Thread(target=self._page, args=arguments, name="tour's page", daemon=True).start()
             return None
-        if message.task in ("png", "exr"):
+        if task in ("png", "exr"):
             rendered = renderer.render(plan, viewpoint)
-            name = f"{rendered.frame.name}.relit.{message.task}"
-            if message.task == "png":
+            name = f"{rendered.frame.name}.relit.{task}"
+            if task == "png":
                 picture = rendered.picture.astype(np.float32) / 255.0
                 return self._written(message, name, lambda file: write_png(file, picture))
             return self._written(message, name, lambda file: write_exr(file, rendered.linear))
-        if message.task == "lights":
+        if task == "lights":
             setup = renderer.lighting.setup(plan)
             return self._written(message, "lights.json", lambda file: write_lights(file, setup))
-        if message.task == "page":
-            return self._written(message, "room.html", lambda file: self._page(plan, viewpoint, file))
         mesh = renderer.scene.apply_to_mesh(plan)
         return self._written(message, "mesh.ply", lambda file: save_mesh(file, mesh))
-
-    def _page(self, plan: TourPlan, viewpoint: Viewpoint, file: Path) -> None:
-        """Write a page of the room and these lights, that needs no server; furniture is where it was scanned."""
-        renderer = self._renderer
-        if self._write_page is None or not isinstance(renderer.place, Scene):
-            raise InputError("page: frames are still arriving; a page is made of a capture that is whole")
-        configuration = dataclasses.replace(renderer.configuration, schedule=viewpoint.schedule)
-        self._write_page(renderer.place, renderer.lighting.setup(plan), configuration, None, file)
 
     def _written(self, message: Message, name: str, write: Callable[[Path], object]) -> bytes:
         """Write a file and read it back before another visitor's takes its place."""
@@ -86,17 +81,32 @@ class Downloads:
             return sent(message, file)
 
     def _video(self, message: Message, viewpoint: Viewpoint, send: Callable[[Answer], None]) -> Generator[None]:
-        file = self._out / "relit.mp4"
-        try:
+        with self._sending(message, send, "relit.mp4") as file:
             yield from write_video(self._renderer, message.plan, viewpoint, file)
+
+    def _page(self, message: Message, viewpoint: Viewpoint, send: Callable[[Answer], None]) -> None:
+        """Make a page of the room and these lights, that needs no server; furniture is where it was scanned."""
+        renderer = self._renderer
+        with self._sending(message, send, "room.html") as file:
+            if self._write_page is None or not isinstance(renderer.place, Scene):
+                raise InputError("page: frames are still arriving; a page is made of a capture that is whole")
+            configuration = dataclasses.replace(renderer.configuration, schedule=viewpoint.schedule)
+            self._write_page(renderer.place, renderer.lighting.setup(message.plan), configuration, None, file)
+
+    @contextlib.contextmanager
+    def _sending(self, message: Message, send: Callable[[Answer], None], name: str) -> Iterator[Path]:
+        """File that takes long to make: sent at the end, or the reason why it was not made."""
+        file = self._out / name
+        try:
+            yield file
             send(sent(message, file))
         except InputError as error:
             send(refusal(error, message.number))
         except Exception:
-            send(refusal(InputError("the video was not made; see the terminal"), message.number))
+            send(refusal(InputError(f"the {message.task} was not made; see the terminal"), message.number))
             raise
         finally:
-            self._making_video = False
+            self._making.discard(message.task)
 
 
 def sent(message: Message, file: Path) -> bytes:

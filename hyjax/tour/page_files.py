@@ -70,10 +70,19 @@ class PageFiles:
     @property
     def for_gpus(self) -> bool:
         """Whether visitors' GPUs may draw: no surface that changes, and nothing that they do not follow."""
-        if self._engine == "server" or not isinstance(self._renderer.place, Scene):
+        if self._engine == "server":
             return False
-        own = self._configuration
-        return self._engine == "visitor" or own == own.followed_by("page", say=False)
+        return self.as_pages and (self._engine == "visitor" or self._configuration == self._followed)
+
+    @property
+    def as_pages(self) -> bool:
+        """Whether a page can show the same: a whole capture, whose own light is divided out."""
+        return isinstance(self._renderer.place, Scene) and self._renderer.photo_light is not None
+
+    @property
+    def _followed(self) -> Configuration:
+        """Configuration as a page follows it."""
+        return self._configuration.followed_by("page", say=False)
 
     @property
     def _configuration(self) -> Configuration:
@@ -113,6 +122,7 @@ class PageFiles:
                 "schedules": list(self._schedules),
                 "largest_factor": LARGEST_FACTOR,
                 "live": renderer.live,
+                "page": self.as_pages,
                 "numbering": numbering,
                 "notices": self._notices,
             },
@@ -124,7 +134,7 @@ class PageFiles:
         renderer = self._renderer
         scene = renderer.place
         assert isinstance(scene, Scene)
-        arrays = scene_arrays(scene, keep_photo_light=renderer.photo_light is None, rays=RAYS)
+        arrays = scene_arrays(scene, rays=RAYS)
         setup = renderer.lighting.setup(renderer.first_plan())
         content, packed = scene_content(scene, setup, arrays)
         size = renderer.camera(0).intrinsics.shape

@@ -35,7 +35,7 @@ class RenderedFrame:
         picture: display-encoded, the stage that is shown.
         linear: the relit picture in linear light.
         milliseconds: by stage.
-        draft: whether shadows are still coarse.
+        draft: whether it is at a part of the frame's size, or with coarse shadows, and a finer one is to come.
         unseen: whether some is grey that moved furniture has uncovered, as no photo shows it.
         reach: of each lamp of the plan; None for those that give no light.
     """
@@ -80,9 +80,8 @@ def shown_stage(
 
 def enlarged(picture: Shaped[ArrayLike, "h w c"], shape: tuple[int, ...]) -> Shaped[Array, "fh fw c"]:
     """Picture of a view at a part of a frame's size, each pixel repeated to the frame's height and width."""
-    large = jnp.asarray(picture)
-    for axis, size in enumerate(shape[:2]):
-        large = jnp.repeat(large, -(-size // large.shape[axis]), axis=axis)
+    times = max(-(-size // cells) for size, cells in zip(shape[:2], np.shape(picture)[:2], strict=True))
+    large = jnp.repeat(jnp.repeat(picture, times, axis=0), times, axis=1)
     return large[: shape[0], : shape[1]]
 
 

@@ -199,7 +199,7 @@ class Renderer:
             self.scene, plan, self._caches, self.photo_light, configuration, draft=draft, cancelled=cancelled
         )
         small = draft and viewpoint.shown == "relit" and self._compiled and configuration.mode != "paper"
-        if small := small and (("view", index, configuration.scale) not in keep or own.any_coarse(setup)):
+        if small := small and (("view", index, configuration.scale) not in keep or own.any_coarse(setup, index)):
             own = own.smaller(DRAFT_FACTOR)
             configuration = own.configuration
         guide = KeptGuide(self.guide, functools.partial(keep, ("guide", index, configuration.scale)))

@@ -44,7 +44,7 @@ class RunLog:
 
 
 def read_lines(path: Path, is_line: Callable[[Line], object], what: str) -> list[Line]:
-    """Read the whole lines of a file; the last one may have been cut off by a crash and is then left out."""
+    """Read the whole lines of a file, as `is_line` knows them; the last one is left out if a crash cut it off."""
     texts = read_bytes(path).splitlines()
     lines: list[Line] = []
     for number, text in enumerate(texts, start=1):

@@ -12,7 +12,8 @@ from hyjax.export.single_page import is_single, new_single_page
 from hyjax.export.web import check_page_folder
 from hyjax.util.errors import InputError
 
-FILES = {"page.json": b"{}", "scene.bin": bytes(range(256)), "frames/0.jpg": b"0", "contact_sheet.png": b"1"}
+ODD = "frames/<!--<script>.jpg"
+FILES = {"page.json": b"{}", "scene.bin": bytes(range(256)), ODD: b"0", "contact_sheet.png": b"1"}
 
 
 @pytest.fixture
@@ -48,8 +49,8 @@ def test_its_scripts_find_each_other(html: str) -> None:
 
 def test_its_data_is_what_the_folder_had_and_nothing_else_is_asked_for(html: str) -> None:
     (found,) = re.findall(r'<script type="application/json" id="files">(.*?)</script>', html)
-    held = {name: content(url) for name, url in json.loads(found).items()}
-    assert held == {name: FILES[name] for name in ("page.json", "scene.bin", "frames/0.jpg")}
+    held = {name: base64.b64decode(packed) for name, packed in json.loads(found).items()}
+    assert held == {name: FILES[name] for name in ("page.json", "scene.bin", ODD)}
     sources = re.findall(r'(?:src|href)="([^"]*)"', html)
     assert sources and all(source.startswith("data:") for source in sources)
     assert "default-src data: blob: 'unsafe-inline'" in html and "'self'" not in html
@@ -65,6 +66,8 @@ def test_it_takes_no_other_files_place(tmp_path: Path) -> None:
     (tmp_path / "folder.html").mkdir()
     with pytest.raises(InputError, match="is a folder"):
         check_page_folder(tmp_path / "folder.html")
+    with pytest.raises(InputError, match="cannot write"):
+        check_page_folder(letter / "room.html")
     with pytest.raises(RuntimeError), new_single_page(tmp_path / "none.html"):
         raise RuntimeError
     assert not (tmp_path / "none.html").exists()

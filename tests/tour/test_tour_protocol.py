@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import re
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -21,14 +22,18 @@ need("tour")
 import av
 import msgspec
 import trimesh
-from box_room import CUBE, TOP, moved
-from visits import box_tour, visiting
+from box_room import CUBE, TOP, BoxCapture, box_room, moved
+from visits import SCHEDULES, WAIT, box_tour, visiting
 
 from hyjax.data.builtin_room import UP
 from hyjax.data.light_file import read_lights
+from hyjax.export.web import write_page
 from hyjax.light.kinds import PointLight
+from hyjax.light.setup import LightSetup
+from hyjax.scene.scene import Scene
 from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import Piece, TourPlan, Window
+from hyjax.tour.renderer import Renderer
 from hyjax.tour.tour import Tour
 from hyjax.tour.viewpoint import Viewpoint
 from hyjax.tour.wire import listen
@@ -235,12 +240,47 @@ def test_downloads(tour: Tour, tmp_path: Path) -> None:
     ]
     assert len(trimesh.load(tmp_path / "mesh.ply").faces) < len(tour.renderer.scene.mesh.faces)
     (held,) = re.findall(r'id="files">(.*?)</script>', (tmp_path / "room.html").read_text())
-    page = json.loads(base64.b64decode(json.loads(held)["page.json"].partition(",")[2]))
+    page = json.loads(base64.b64decode(json.loads(held)["page.json"]))
     assert [light["position"] for light in page["setup"]["lights"] if "position" in light] == [
         pytest.approx(LAMP.position)
     ]
     with av.open(str(tmp_path / "relit.mp4")) as video:
         assert sum(1 for _ in video.decode(video=0)) == 2
+
+
+def test_while_a_page_is_made_everything_else_goes_on(tmp_path: Path) -> None:
+    asked, go_on = threading.Event(), threading.Event()
+
+    def write_page(scene: Scene, setup: LightSetup, *_: Any) -> None:
+        asked.set()
+        assert go_on.wait(WAIT)
+        raise InputError("page: the disk is full")
+
+    tour = box_tour(tmp_path, write_page=write_page)
+    try:
+        with visiting(tour) as visit, visiting(tour) as other:
+            assert json.loads(got(f"{tour.url}/page.json"))["server"]["page"]
+            number = visit.send("page", PLAN)
+            assert asked.wait(WAIT)
+            assert "a page is being made" in other.ask("page", PLAN)["refused"]
+            assert "content" in other.ask("lights", PLAN)
+            assert visit.picture(PLAN).any()
+            go_on.set()
+            assert visit.answer(number)["refused"] == "page: the disk is full"
+            assert "is being made" not in other.ask("page", PLAN)["refused"]
+    finally:
+        go_on.set()
+        tour.stop()
+
+
+def test_a_tour_that_keeps_the_photos_light_has_a_page_of_its_own_and_makes_none(tmp_path: Path) -> None:
+    renderer = Renderer(Scene(BoxCapture(), box_room()), folder=tmp_path, keep_photo_light=True)
+    tour = Tour(renderer, SCHEDULES, tmp_path, port=0, write_page=write_page)
+    try:
+        server = json.loads(got(f"{tour.url}/page.json"))["server"]
+        assert server["engine"] == "server" and not server["page"]
+    finally:
+        tour.stop()
 
 
 # ---- the set-up that is kept ----

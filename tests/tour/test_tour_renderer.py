@@ -162,6 +162,7 @@ def cast(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 
 def test_nothing_is_cast_twice(renderer: Renderer, plan: TourPlan, cast: list[Any]) -> None:
+    renderer.forget_frames()
     renderer.render(plan, VIEW)
     cast.clear()
     dimmer = replace(plan.lamps[0], lumen=100.0, kelvin=5000.0)
@@ -277,6 +278,18 @@ def test_a_draft_of_another_frame_is_small_and_one_of_another_brightness_is_not(
     assert renderer.render(plan, other, draft=True).draft
     assert not renderer.render(plan, other).draft
     assert not renderer.render(plan, other, draft=True).draft, "it is there at full size now"
+
+
+def test_what_is_kept_at_full_size_is_drafted_at_it(plan: TourPlan) -> None:
+    """Where a lamp is too dim to cast a shadow, and where shadow maps are gone whose light is kept."""
+    renderer = Renderer(
+        Scene(BoxCapture(), box_room()), configuration=Configuration().with_choices({"least_share": 0.05})
+    )
+    plan = replace(plan, lamps=(*plan.lamps, replace(plan.lamps[0], lumen=1.0)))
+    renderer.render(plan, VIEW)
+    assert not renderer.render(plan, VIEW, draft=True).draft
+    renderer._caches.maps = Caches().maps
+    assert not renderer.render(plan, VIEW, draft=True).draft
 
 
 def test_while_something_is_dragged_fine_detail_throws_no_shadows(plan: TourPlan, cast: list[Any]) -> None:

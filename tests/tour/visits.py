@@ -31,7 +31,7 @@ WAIT = 60.0  # seconds
 def box_tour(out: Path, **options: Any) -> Tour:
     """Tour of the room of boxes, at any free port."""
     renderer = Renderer(Scene(BoxCapture(), box_room()), folder=out)
-    return Tour(renderer, SCHEDULES, out, port=0, write_page=write_page, **options)
+    return Tour(renderer, SCHEDULES, out, **({"port": 0, "write_page": write_page} | options))
 
 
 @contextlib.contextmanager
@@ -64,7 +64,10 @@ class Visit:
 
     def ask(self, task: str, plan: TourPlan, **content: Any) -> dict[str, Any]:
         """Answer to a task, its binary content as `content`."""
-        number = self.send(task, plan, **content)
+        return self.answer(self.send(task, plan, **content))
+
+    def answer(self, number: int) -> dict[str, Any]:
+        """Answer to a message."""
         while True:
             head, binary = self.receive()
             if head.get("number") == number:

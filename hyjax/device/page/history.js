@@ -67,6 +67,7 @@ export function connectHistory(viewer) {
     pressed = true;
   }, true);
   for (const name of ["pointerup", "pointercancel"]) addEventListener(name, () => { pressed = false; }, true);
+  addEventListener("blur", () => { pressed = false; }); // of the window: a menu took the pointer
   viewer.addEventListener("change", later);
   addEventListener("keydown", (event) => {
     if (!(event.ctrlKey || event.metaKey) || event.altKey || event.target.matches?.(TYPED)) return;

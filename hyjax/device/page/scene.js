@@ -5,10 +5,11 @@ const TYPES = { uint16: Uint16Array, uint32: Uint32Array, float32: Float32Array 
 const KEPT_BYTES = 64e6; // of decoded frames
 const LEAST_LIGHT = 0.05; // of the photos, of its mean
 
-const held = JSON.parse(document.getElementById("files")?.textContent ?? "{}"); // in a page of a single file
+const held = JSON.parse(document.getElementById("files")?.textContent ?? "{}"); // base64, in a page of a single file
 
 async function read(name) {
-  const response = await fetch(held[name] ?? name).catch(() => {
+  if (held[name]) return new Response(Uint8Array.from(atob(held[name]), (letter) => letter.charCodeAt(0)));
+  const response = await fetch(name).catch(() => {
     throw new Error(`${name} could not be loaded: the connection or the server is gone.`);
   });
   if (!response.ok) throw new Error(`${name} is missing on this server (${response.status}).`);

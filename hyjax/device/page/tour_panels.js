@@ -222,7 +222,8 @@ function downloads(viewer) {
       viewer.say(error.message);
     }
   };
-  const buttons = Object.entries(FILES).map(([task, text]) => button(text, () => fetchFile(task)));
+  const files = Object.entries(FILES).filter(([task]) => task !== "page" || viewer.page.server.page);
+  const buttons = files.map(([task, text]) => button(text, () => fetchFile(task)));
   return section("downloads", "Take home", [], made("div", { className: "buttons many" }, ...buttons));
 }
 
