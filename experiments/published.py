@@ -161,7 +161,7 @@ TABLES: dict[str, Published] = {
     "live": Published("live", 0),
     "live-parts": Published("live", 1),
     "live-chair": Published("live", 3),
-    "tour-changes": Published("tour_visits", 0),
+    "tour-changes": Published("tour_changes", 0),
     "tour-load": Published("tour_visits", 1),
     "fusion-chair": Published("fusion_borders_chair", 0),
     "fusion-room": Published("fusion_borders_room", 0),

@@ -49,7 +49,7 @@ class Config(RunConfig):
     changes: int = 60
     """Of each kind."""
     minutes: float = 5.0
-    """Of many changes."""
+    """Of many changes; 0 leaves them out."""
 
 
 class Visitor:
@@ -95,7 +95,7 @@ def main(config: Config, start: Start) -> None:
                 times.append(visitor.picture(changed, frame))
             for first, last in times[3:]:
                 results.add(kind="change", of=kind, draft_ms=1e3 * first, fine_ms=1e3 * last)
-        for row in load(url, process.pid, plan, centre, config.minutes):
+        for row in load(url, process.pid, plan, centre, config.minutes) if config.minutes else ():
             results.add(kind="load", **row)
 
 

@@ -25,6 +25,7 @@ def export_file(settings: ExportSettings) -> Path:
     """
     settings.check()
     settings.open_configuration().followed_by("file")
+    make_writable(settings.out)
     target = open_target(settings.to)
     graph = build_graph(settings)
     size = "x".join(str(n) for n in reversed(settings.shape))

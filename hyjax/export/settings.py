@@ -30,8 +30,8 @@ class ExportSettings(Settings):
     captures: tyro.conf.Positional[tuple[Path, ...]] = ()
     """Of --to web: several captures, for a page of each and an index of them. A single one: --capture."""
     to: Target
-    """stablehlo, iree, onnx, litert or coreml: a file for that runtime, with a README.md; web and bench: a page for
-    browsers with WebGPU."""
+    """stablehlo, iree, onnx, litert or coreml: a file for that runtime, with a README.md; web: a page for browsers
+    with WebGPU, a folder, or with --out room.html one file that opens by itself; bench: one that times a device."""
     what: What = "cascade"
     """Function of a file for a runtime: cascade repairs a filter with a confidence for each pixel; plain-cascade
     repairs a filter that is known everywhere; guide is the network of --guide."""
@@ -60,8 +60,8 @@ class ExportSettings(Settings):
     """Of IREE: the machine to compile for, such as aarch64-linux-android31 or arm64-apple-ios17.0. Default: the one
     that this runs on, the only one that is checked."""
     out: Path = Path("exported")
-    """Folder for the results; a file for a runtime gets a folder in it, such as cascade-onnx. A page: also a single
-    file that opens by itself, such as room.html."""
+    """Folder for the results; a file for a runtime gets a folder in it, such as cascade-onnx. Of --to web: also a
+    file that ends in .html."""
     quiet: bool = False
     """No progress on the terminal."""
 

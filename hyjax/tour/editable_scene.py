@@ -98,7 +98,7 @@ class EditableScene:
 
     def apply(self, plan: TourPlan) -> SceneParts:
         """The parts that a plan makes of it."""
-        scanned = tuple(sorted({piece.seed for piece in plan.pieces if not piece.file}))
+        scanned = tuple(sorted({piece.seed for piece in plan.pieces if not (piece.file or piece.as_scanned)}))
         masks = [mask for seed in scanned if (mask := self._faces(Piece(seed))) is not None]
         if masks:
             left = ~np.logical_or.reduce(masks)
@@ -113,7 +113,7 @@ class EditableScene:
         keys: list[Hashable] = [(self.revision, "rest", scanned)]
         pieces: list[int | None] = [None]
         for number, piece in enumerate(plan.pieces):
-            if piece.removed or (mesh := self.piece_mesh(piece)) is None:
+            if piece.removed or piece.as_scanned or (mesh := self.piece_mesh(piece)) is None:
                 continue
             name = ("piece", piece.seed, piece.file)
             caster = self._parts(("caster", name), functools.partial(RayCaster, mesh))

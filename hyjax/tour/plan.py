@@ -104,6 +104,11 @@ class Piece(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     file: Annotated[str, msgspec.Meta(max_length=255, pattern=FILE_NAME)] = ""
 
     @property
+    def as_scanned(self) -> bool:
+        """Whether it was picked alone, and still is where the scan has it."""
+        return not (self.file or self.removed) and np.array_equal(self.matrix, np.eye(4))
+
+    @property
     def matrix(self) -> Float[np.ndarray, "4 4"]:
         return np.asarray(self.pose, float).reshape(4, 4)
 

@@ -216,7 +216,7 @@ class Renderer:
         stages = refine(lit, configuration, run=own.run)
         result = clock.follow(stages, until=None if viewpoint.shown in COMPARED_STAGES else "composite")
         unseen = False
-        if plan.pieces and not isinstance(result, Relit):
+        if any(not piece.as_scanned for piece in plan.pieces) and not isinstance(result, Relit):
             with clock("uncovered"):
                 camera = scaled(frame.camera, DRAFT_FACTOR) if small else frame.camera
                 frames = {k: self.view_camera(k) for k in self._cameras_of(LOOKED_AT, index)}
@@ -287,6 +287,12 @@ class Renderer:
                 yield
         free = dataclasses.replace(viewpoint, camera=self.camera(viewpoint.frame))
         self.render(replace(plan, lamps=lamps[:1]), free)
+
+    def lift(self, plan: TourPlan, viewpoint: Viewpoint) -> Generator[None]:
+        """Make ready what the first move of picked pieces takes: the rest of the room, and its shadows."""
+        pieces = tuple(replace(piece, removed=piece.removed or piece.as_scanned) for piece in plan.pieces)
+        self.render(replace(plan, pieces=pieces), viewpoint, draft=True)
+        yield
 
     def _setup(self, plan: TourPlan, flames: dict[int, float] | None = None) -> LightSetup:
         """Lights of a plan; nothing is left of sources that were not divided out."""

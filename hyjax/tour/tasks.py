@@ -59,7 +59,7 @@ def furniture(renderer: Renderer, message: Message) -> dict[str, Any]:
     piece = Piece((x, y, z))
     mesh = scene.piece_mesh(piece)
     if mesh is None:
-        raise InputError("there is no furniture here, only the room itself; click on something that stands in it")
+        raise InputError("The scan has no piece of its own here: it is a part of the room, or was not caught")
     if (number := scene.overlapping_piece(plan, piece)) is not None:
         return {"piece": number}
     piece = replace(piece, centre=as_point(mesh.bounds.mean(axis=0).round(4)))

@@ -153,6 +153,9 @@ class Tour:
         assert message is not None
         if last is None or message.plan != last.plan:  # candles and frames alone set nothing up
             self.kept.keep(message.plan)
+        pieces = message.plan.pieces
+        if any(piece.as_scanned for piece in pieces) and (last is None or last.plan.pieces != pieces):
+            self.queue.add_job(self.renderer.lift(message.plan, self._viewpoint(message)))
         changed = last is None or not message.differs_in_time_only(last)
         self.queue.request(id(visitor), interactive=changed)
 

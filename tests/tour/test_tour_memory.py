@@ -59,5 +59,5 @@ def test_parts_of_the_room_are_kept_by_their_memory() -> None:
     scene = EditableScene(RayCaster(room), UP, Path())
     limit = scene._parts._results.maxsize
     assert limit == max(PARTS_MIB, 4 * FACE_BYTES * (1 + len(room.faces)) / 2**20)
-    scene.apply(TourPlan(pieces=(Piece((0.5, 0.4, 0.7)),)))
+    scene.apply(TourPlan(pieces=(Piece((0.5, 0.4, 0.7), removed=True),)))
     assert 2 * len(room.faces) * FACE_BYTES / 2**20 > scene._parts._results.currsize > 0

@@ -140,7 +140,7 @@ def test_lamps_and_daylight_and_undo(page: Page) -> None:
     page.slide("#daylight", "Hour", 22)
     night = page.settled()
     assert apart(night, afternoon) > 10
-    assert "22:00: moonlight" in page.page.inner_text(".said")
+    assert "22:00 solar time: moonlight" in page.page.inner_text(".said")
     page.page.get_by_label("Open sky").check()
     assert apart(page.settled(), night) > 1 and page.plan["open_sky"]
     assert "open sky" in page.page.inner_text(".said")

@@ -144,7 +144,7 @@ def read_image_of(content: bytes) -> np.ndarray:
 def test_daylight_in_words_and_lights(tour: Tour) -> None:
     with visiting(tour) as visit:
         noon, night = (visit.ask("daylight", replace(PLAN, hour=hour)) for hour in (15.0, 0.0))
-    assert "21 June, 15:00: sun" in noon["said"]
+    assert "21 June, 15:00 solar time: sun" in noon["said"]
     assert "moonlight" in night["said"] or "dark" in night["said"]
     assert {light["kind"] for light in noon["lights"]} <= {"rect", "directional"}
     assert noon["lumen"] > 100 * night["lumen"] and 2000 < noon["kelvin"] < 12000
@@ -177,7 +177,7 @@ def test_furniture_is_picked_by_a_pixel(tour: Tour) -> None:
         again = visit.ask("furniture", known, places=[pixel(tour, TOP)])
         assert again["piece"] == 0
         floor = visit.ask("furniture", PLAN, places=[pixel(tour, (-0.6, -0.6, 0.0))])
-        assert "only the room itself" in floor["refused"]
+        assert "no piece of its own" in floor["refused"]
         before, after = visit.picture(PLAN, shown="raw filter"), visit.picture(AWAY, shown="raw filter")
         assert apart(before, after) > 1
 

@@ -100,9 +100,11 @@ export class RemoteEngine {
     this.canvas.hidden = false;
     viewer.canvas.hidden = true;
     const begun = performance.now();
+    const { camera } = viewer;
     const rendered = this.busy;
     try {
       if (rendered) await this.run();
+      this.camera = camera; // of the picture, which markers lie on
     } catch (error) {
       viewer.say(error.message);
     }

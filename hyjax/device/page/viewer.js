@@ -258,6 +258,7 @@ export class Viewer extends EventTarget {
     if (!place) throw new Error("There is no surface here; click on a wall, the floor or a piece of furniture.");
     const item = this.lights.add([...place], place.normal);
     this.selected = item.id;
+    if (x <= this.wipe * this.page.size[1]) this.wipe = 0; // else it would light what the photo hides
     this.change("lights");
     return item;
   }
@@ -271,7 +272,7 @@ export class Viewer extends EventTarget {
   /** Pixel of the picture at which a lamp is, and whether it is in view. */
   pixelOf(position) {
     const [height, width] = this.page.size;
-    const at = project(this.camera, position);
+    const at = project((this.usesServer && this.remote.camera) || this.camera, position);
     return at && at.x >= 0 && at.y >= 0 && at.x <= width && at.y <= height ? at : null;
   }
 
