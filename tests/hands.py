@@ -71,3 +71,37 @@ class Hand:
         """Go, with the touch screen."""
         if self._screen is not None:
             self._screen.detach()
+
+
+CONTROLS = ":is(#panel, #transport) :is(input, select):visible:enabled, #wipe"
+KINDS = "(control) => control.type ?? control.getAttribute('role')"
+VALUE = "(control) => (control.type === 'checkbox' ? control.checked : control.value ?? control.ariaValueNow)"
+KEYS = {
+    "range": ("ArrowRight", "ArrowLeft"),
+    "slider": ("ArrowRight", "ArrowLeft"),
+    "checkbox": ("Space", "Space"),
+    "select-one": ("ArrowDown", "ArrowUp"),
+    "date": ("ArrowUp", "ArrowDown"),
+}
+"""Keys that change a control of a kind, one of them at the end of its range. A colour has a window of its own."""
+
+
+def check_keys(page: Any) -> int:
+    """Check that keys change every control that is shown, and change it back; their number."""
+    count, number, controls = 0, -1, page.locator(CONTROLS)
+    while (number := number + 1) < controls.count():  # of what the last one has left
+        control = controls.nth(number).element_handle()
+        kind, before = control.evaluate(KINDS), control.evaluate(VALUE)
+        if kind not in KEYS:
+            assert kind in ("color", "file"), kind
+            continue
+        there, back = KEYS[kind]
+        control.focus()
+        page.keyboard.press(there)
+        if control.evaluate(VALUE) == before:
+            there, back = back, there
+            page.keyboard.press(there)
+        assert control.evaluate(VALUE) != before, control.evaluate("(control) => control.outerHTML")
+        page.keyboard.press(back)
+        count += 1
+    return count

@@ -26,7 +26,7 @@ import pytest
 from common import coarse_surface
 from extras import need
 from firefox import launched_firefox
-from hands import Hand
+from hands import Hand, check_keys
 from legible import check_focus, check_legible
 from PIL import Image
 
@@ -821,7 +821,7 @@ def test_a_look_at_the_surface_takes_sixteen_bytes(visit: Visit) -> None:
 
 
 @pytest.mark.slow
-def test_everything_can_be_read_and_has_a_name(visit: Visit) -> None:
+def test_everything_can_be_read_has_a_name_and_follows_keys(visit: Visit) -> None:
     page = visit.page
     page.locator(".light-head input").first.uncheck()
     page.locator(".light-head .name").first.click()
@@ -829,6 +829,7 @@ def test_everything_can_be_read_and_has_a_name(visit: Visit) -> None:
     visit.pixels()
     check_legible(page)
     assert check_focus(page) > 20
+    assert check_keys(page) > 10
     page.evaluate("document.getElementById('speed').open = false")
     page.get_by_role("button", name="Start over").click()
 

@@ -17,7 +17,7 @@ need("tour")
 
 from browser import Page, until
 from common import coarse_surface
-from hands import Hand
+from hands import Hand, check_keys
 from legible import check_focus, check_legible
 from visits import SCHEDULES
 
@@ -357,7 +357,7 @@ def test_keys_turn_the_view_and_move_lamps_nearer(page: Page) -> None:
 
 
 @pytest.mark.slow
-def test_everything_can_be_read_has_a_name_and_shows_the_focus(page: Page) -> None:
+def test_everything_can_be_read_has_a_name_shows_the_focus_and_follows_keys(page: Page) -> None:
     page.press("Start over")
     page.press("Add a lamp")
     page.page.mouse.click(*page.place(0.5, 0.75))
@@ -373,6 +373,7 @@ def test_everything_can_be_read_has_a_name_and_shows_the_focus(page: Page) -> No
         page.settled()
         check_legible(page.page)
         assert check_focus(page.page) > 40
+        assert check_keys(page.page) > 18
         page.page.locator("#windows .name").first.click()
     assert page.page.locator("[role=img]:visible").evaluate_all("(all) => all.map(({ id }) => id)") == ["remote"]
     for panel in ("#diffusion", "#speed"):
@@ -485,6 +486,7 @@ def test_the_visitors_gpu_draws_what_the_server_draws(
         assert "swiftshader" in page.page.evaluate("hyjax.stats().adapter").lower()
         wanted = tour.renderer.render(tour.kept.plan, Viewpoint(0, "relit", SCHEDULES["hyjax"])).linear
         assert apart(np.minimum(page.settled(), 1), np.minimum(wanted, 1)) < 5
+        assert check_keys(page.page) > 12
         page.page.locator("#diffusion summary").click()
         page.slide("#diffusion", "Steps ×", 2)  # which only the server can
         assert "the server" in page.page.evaluate("hyjax.stats().adapter")
