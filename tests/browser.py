@@ -2,11 +2,12 @@
 
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyjax.tour.tour import Tour
+if TYPE_CHECKING:
+    from hyjax.tour.tour import Tour
 
 SIZE = {"width": 1000, "height": 640}
 WAIT = 60.0
@@ -24,7 +25,7 @@ def until(condition: Callable[[], Any], seconds: float = WAIT) -> Any:
 class Page:
     """The tour's page in a browser."""
 
-    def __init__(self, browser: Any, tour: Tour, size: dict[str, int] | None = None) -> None:
+    def __init__(self, browser: Any, tour: "Tour", size: dict[str, int] | None = None) -> None:
         self.tour, self.errors = tour, list[str]()
         self.page = browser.new_page(viewport=size or SIZE, accept_downloads=True)
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))

@@ -9,6 +9,7 @@ from hyjax.export.readme import write_readme
 from hyjax.export.settings import ExportSettings
 from hyjax.export.targets import open_target
 from hyjax.util.arguments import checked_arguments
+from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write, make_writable, new_folder, write_text
 
 
@@ -25,7 +26,8 @@ def export_file(settings: ExportSettings) -> Path:
     """
     settings.check()
     settings.open_configuration().followed_by("file")
-    make_writable(settings.out)
+    if settings.out.is_file():
+        raise InputError(f"{settings.out}: is a file; a folder is written; choose another --out")
     target = open_target(settings.to)
     graph = build_graph(settings)
     size = "x".join(str(n) for n in reversed(settings.shape))

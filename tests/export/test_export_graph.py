@@ -84,6 +84,9 @@ def test_nothing_is_written_of_what_differs(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(InputError, match="nothing was written"):
         export_file(ExportSettings(to="stablehlo", scene=SMALL, out=tmp_path / "out", quiet=True))
     assert not (tmp_path / "out").exists()
+    (tmp_path / "out").write_text("")
+    with pytest.raises(InputError, match="is a file"):
+        export_file(ExportSettings(to="stablehlo", scene=SMALL, out=tmp_path / "out", quiet=True))
 
 
 def test_a_file_of_stablehlo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
