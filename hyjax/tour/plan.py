@@ -160,6 +160,11 @@ class TourPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         _checked(msgspec.to_builtins(self, enc_hook=_plain))
         return self
 
+    @property
+    def furnishes(self) -> bool:
+        """Whether a piece is not as it was scanned."""
+        return not all(piece.as_scanned for piece in self.pieces)
+
     def date(self) -> datetime.date:
         """`day` as a date."""
         try:

@@ -216,7 +216,7 @@ class Renderer:
         stages = refine(lit, configuration, run=own.run)
         result = clock.follow(stages, until=None if viewpoint.shown in COMPARED_STAGES else "composite")
         unseen = False
-        if any(not piece.as_scanned for piece in plan.pieces) and not isinstance(result, Relit):
+        if plan.furnishes and not isinstance(result, Relit):
             with clock("uncovered"):
                 camera = scaled(frame.camera, DRAFT_FACTOR) if small else frame.camera
                 frames = {k: self.view_camera(k) for k in self._cameras_of(LOOKED_AT, index)}
@@ -257,7 +257,7 @@ class Renderer:
         )
         with clock("g-buffer"):
             seen = merge_gbuffers([part.gbuffer(camera) for part in own.parts.parts])
-            if plan.pieces:  # floor and walls go on where the scan has a hole beneath them
+            if plan.furnishes:  # floor and walls go on where the scan has a hole beneath them
                 (scanned,) = self.scene.apply(TourPlan()).parts
                 uncovered = uncovered_pixels(seen, scanned.gbuffer(camera), self.scene.caster)
                 seen = extend_planes(seen, uncovered, camera, self.scene.planes)
