@@ -271,6 +271,7 @@ def test_a_draft_is_coarse_where_something_moved_and_says_so(
 def test_a_draft_of_another_frame_is_small_and_one_of_another_brightness_is_not(
     renderer: Renderer, plan: TourPlan
 ) -> None:
+    renderer.forget_frames()
     renderer.render(plan, VIEW)
     brighter = replace(plan, lamps=(replace(plan.lamps[0], lumen=2.0 * plan.lamps[0].lumen),))
     assert not renderer.render(brighter, VIEW, draft=True).draft
