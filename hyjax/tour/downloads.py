@@ -97,16 +97,19 @@ class Downloads:
     def _sending(self, message: Message, send: Callable[[Answer], None], name: str) -> Iterator[Path]:
         """File that takes long to make: sent at the end, or the reason why it was not made."""
         file = self._out / name
+        answer: Answer | None = None
         try:
             yield file
-            send(sent(message, file))
+            answer = sent(message, file)
         except InputError as error:
-            send(refusal(error, message.number))
+            answer = refusal(error, message.number)
         except Exception:
-            send(refusal(InputError(f"the {message.task} was not made; see the terminal"), message.number))
+            answer = refusal(InputError(f"the {message.task} was not made; see the terminal"), message.number)
             raise
-        finally:
+        finally:  # who has the answer may ask for the next one at once
             self._making.discard(message.task)
+            if answer is not None:
+                send(answer)
 
 
 def sent(message: Message, file: Path) -> bytes:

@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+import queue
 import re
 import threading
 import time
@@ -31,11 +32,13 @@ from hyjax.export.web import write_page
 from hyjax.light.kinds import PointLight
 from hyjax.light.setup import LightSetup
 from hyjax.scene.scene import Scene
+from hyjax.tour.messages import Message
 from hyjax.tour.placement import place_lamp
 from hyjax.tour.plan import Piece, TourPlan, Window
 from hyjax.tour.renderer import Renderer
 from hyjax.tour.tour import Tour
 from hyjax.tour.viewpoint import Viewpoint
+from hyjax.tour.visitor import Answer
 from hyjax.tour.wire import listen
 from hyjax.util.errors import InputError
 from hyjax.util.images import read_image
@@ -270,6 +273,25 @@ def test_while_a_page_is_made_everything_else_goes_on(tmp_path: Path) -> None:
             assert "is being made" not in other.ask("page", PLAN)["refused"]
     finally:
         go_on.set()
+        tour.stop()
+
+
+def test_who_is_sent_a_page_may_ask_for_the_next_at_once(tmp_path: Path) -> None:
+    def write_page(*_: Any) -> None:
+        raise InputError("page: the disk is full")
+
+    tour = box_tour(tmp_path, write_page=write_page)
+    sent, message = queue.Queue[Answer](), Message("page", 1, PLAN)
+    viewpoint = Viewpoint(0, "relit", SCHEDULES["hyjax"])
+
+    def ask_again(answer: Answer) -> None:
+        tour._downloads.answer(message, viewpoint, sent.put)
+        sent.put(answer)
+
+    try:
+        tour._downloads.answer(message, viewpoint, ask_again)
+        assert all(b"the disk is full" in msgspec.json.encode(sent.get(timeout=WAIT)) for _ in range(2))
+    finally:
         tour.stop()
 
 
