@@ -121,7 +121,7 @@ class WholeFrames:
         self._relighter = Relighter(scene, config.lights, chosen)
         if chosen.light.sampling != sampling:
             raise InputError(f"samplings: {chosen.name} allows {chosen.light.sampling} at most")
-        self._frames = [fit(scene.capture[index], (size, size)) for index in spread(range(len(scene)), 24)]
+        self._frames = [fit(scene.capture.picture(index), (size, size)) for index in spread(range(len(scene)), 24)]
 
     def picture(self, frame: Frame) -> float:
         """Bytes of a relit frame; the seconds that they took."""
@@ -235,7 +235,7 @@ def add_shaders(results: Results, scene: Scene, config: Config, precision: Preci
         scene, scene.lights(config.lights, at_photo_sources=True), size, chosen.schedule, chosen.shadow_schedule,
         light=chosen.light, precision=precision, device=device,
     )  # fmt: skip
-    frames = [fit(scene.capture[index], size) for index in spread(range(len(scene)), 24)]
+    frames = [fit(scene.capture.picture(index), size) for index in spread(range(len(scene)), 24)]
     waits, clock = [], StageClock()
     for frame in itertools.islice(itertools.cycle(frames), WARM_UP + config.frames):
         watch = Stopwatch()

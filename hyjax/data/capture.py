@@ -127,6 +127,10 @@ class Capture(abc.ABC):
         """Capture with the same pictures, maybe by other cameras: itself, but for one that only moves them."""
         return self
 
+    def picture(self, index: int) -> Frame:
+        """The frame at a position without its depth, which is not read where it is kept apart."""
+        return dataclasses.replace(self[index], depth=None, depth_intrinsics=None, confidence=None)
+
     def camera(self, index: int) -> Camera:
         """Camera of the frame at a position; formats that need no picture for it read none."""
         return self[index].camera
@@ -236,6 +240,9 @@ class DerivedCapture(Capture):
     def __getitem__(self, index: int) -> Frame:
         return self.source[index]
 
+    def picture(self, index: int) -> Frame:
+        return dataclasses.replace(self.source.picture(index), camera=self.camera(index))
+
     def camera(self, index: int) -> Camera:
         return self.source.camera(index)
 
@@ -274,6 +281,9 @@ class ChosenFrames(Capture):
 
     def __getitem__(self, index: int) -> Frame:
         return self._capture[self.indices[index]]
+
+    def picture(self, index: int) -> Frame:
+        return self._capture.picture(self.indices[index])
 
     def camera(self, index: int) -> Camera:
         return self._capture.camera(self.indices[index])

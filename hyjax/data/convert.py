@@ -49,8 +49,13 @@ class SelectedFrames(ChosenFrames):
         fitted = fit(frame, self._size)
         return dataclasses.replace(fitted, depth=frame.depth, depth_intrinsics=lens, confidence=frame.confidence)
 
+    def picture(self, index: int) -> Frame:
+        from hyjax.data.frames import fit
+
+        return fit(super().picture(index), self._size)
+
     def camera(self, index: int) -> Camera:
-        return super().camera(index) if self._size is None else self[index].camera
+        return super().camera(index) if self._size is None else self.picture(index).camera
 
     def mesh(self) -> "trimesh.Trimesh | None":
         return self._capture.mesh()

@@ -9,6 +9,8 @@ The baseline is that of a published calibration of another Kinect
 by us to frames 0-448 of the red kitchen, borders of depth on borders of the pictures.
 """
 
+import dataclasses
+
 import numpy as np
 from jaxtyping import Float
 
@@ -47,7 +49,7 @@ class RegisteredKinect(DerivedCapture):
         frame = self.source[index]
         camera = self.camera(index)
         depth = None if frame.depth is None else warped(frame.depth, frame.depth_camera, camera)
-        return Frame(frame.name, frame.image, camera, frame.time, depth)
+        return dataclasses.replace(frame, camera=camera, depth=depth, depth_intrinsics=None, confidence=None)
 
     def camera(self, index: int) -> Camera:
         return Camera(COLOUR, self.source.camera(index).pose @ colour_pose())

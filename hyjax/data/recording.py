@@ -121,6 +121,19 @@ class Recording(Capture):
 
     def __getitem__(self, index: int) -> Frame:
         """The frame at a position; IndexError beyond the end ends a `for` loop."""
+        frame, shot = self._read_picture(index), self._pictures[index]
+        if shot.depth is not None:
+            depth, confidence, lens = _read_depth(shot)
+            own = None if lens == shot.intrinsics else lens
+            frame = dataclasses.replace(frame, depth=depth, depth_intrinsics=own, confidence=confidence)
+        return turn_frame(frame, self.quarter_turns)
+
+    def picture(self, index: int) -> Frame:
+        """See `Capture`."""
+        return turn_frame(self._read_picture(index), self.quarter_turns)
+
+    def _read_picture(self, index: int) -> Frame:
+        """A frame as the device held it, without depth."""
         shot = self._pictures[index]
         assert shot.picture is not None
         image = without_margin(shot.picture())
@@ -132,14 +145,8 @@ class Recording(Capture):
             )
         if shot.distortion is not None:
             image = undistorted(image, intrinsics, shot.distortion)
-        depth = confidence = None
-        lens: Intrinsics | None = None
-        if shot.depth is not None:
-            depth, confidence, lens = _read_depth(shot)
-            lens = None if lens == intrinsics else lens
         time = shot.time - self._pictures[0].time
-        frame = Frame(shot.name, image, Camera(intrinsics, shot.pose), time, depth, lens, confidence, shot.exposure)
-        return turn_frame(frame, self.quarter_turns)
+        return Frame(shot.name, image, Camera(intrinsics, shot.pose), time, exposure=shot.exposure)
 
     def camera(self, index: int) -> Camera:
         shot = self._pictures[index]

@@ -49,7 +49,7 @@ class KnownTruth:
             told = self._own(index, setup)
         elif isinstance(lights, str) and isinstance(capture, TruthCapture):
             (told,) = capture.truth(setup, [index])
-            told = fit(dataclasses.replace(capture[index], image=told), self._scene.size).image
+            told = fit(dataclasses.replace(capture.picture(index), image=told), self._scene.size).image
         else:
             return None
         if told is not None and np.shape(told) != shape:

@@ -188,7 +188,7 @@ class Scene:
             return index
         if not -len(self) <= index < len(self):
             raise InputError(f"frame {index}: the capture has frames 0 to {len(self) - 1}")
-        return fit(self.capture[index], self.size)
+        return fit(self.capture.picture(index), self.size)
 
     @checked_arguments
     def gbuffer(self, camera: Camera, *, rays: bool = False) -> GBuffer:

@@ -146,7 +146,7 @@ class Renderer:
 
     def frame(self, index: int) -> Frame:
         """A frame at the size that is worked at."""
-        return self._caches.frames(("frame", index), lambda: fit(self.capture[index], self.place.size))
+        return self._caches.frames(("frame", index), lambda: fit(self.capture.picture(index), self.place.size))
 
     def camera(self, index: int) -> Camera:
         """Camera of a frame at the size that is worked at."""

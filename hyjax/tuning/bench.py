@@ -45,7 +45,7 @@ class Workbench:
     def name(self, index: int) -> str:
         """Name of frame `index`, which is read once at most for it."""
         if index not in self._names:
-            self._names[index] = self.scene.capture[index].name
+            self._names[index] = self.scene.capture.picture(index).name
         return self._names[index]
 
     def case(self, index: int) -> Case | None:
