@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.camera import Camera, Intrinsics
@@ -43,14 +43,14 @@ PHOTOGRAPHS = Path(__file__).parent / "room_photographs"
 
 UP = np.array([0.0, 0.0, 1.0])
 _log = logging.getLogger(__name__)
-_Frame = tuple[UInt8[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]
+_Image = UInt8[np.ndarray, "h w 3"]
 
 
 class RoomCapture(Capture):
     """The built-in room: a capture whose true surface is known; z is up.
 
     Args:
-        images, depth: of the frames, arrays or what gives them one by one.
+        images: of the frames, an array or what gives them one by one.
         cameras: of the frames.
         mesh: the true surface.
         anchors: places for lights.
@@ -62,7 +62,6 @@ class RoomCapture(Capture):
     def __init__(
         self,
         images: "UInt8[np.ndarray, 'n h w 3'] | _Awaited",
-        depth: "Float[np.ndarray, 'n h w'] | _Awaited",
         cameras: list[Camera],
         mesh: "trimesh.Trimesh | MeshArrays",
         anchors: Mapping[str, Mapping[str, Any]],
@@ -71,16 +70,14 @@ class RoomCapture(Capture):
         self.up = UP
         self._surface = MeshArrays.of(mesh)
         self.anchors = anchors
-        self._images, self._depth = images, depth
-        self._cameras, self._key = cameras, key
+        self._images, self._cameras, self._key = images, cameras, key
 
     @functools.cached_property
     def fingerprint(self) -> str:
         poses = np.stack([camera.pose for camera in self._cameras])
         images: Any = self._images
-        depth: Any = self._depth
         if self._key is None:
-            pictures = [images[:: max(1, len(self) // 4)], np.array(depth.shape)]
+            pictures = [images[:: max(1, len(self) // 4)], np.array(images.shape[:3])]
         else:
             pictures = [np.frombuffer(self._key.encode(), np.uint8)]
         lenses = np.array([dataclasses.astuple(camera.intrinsics) for camera in self._cameras])
@@ -118,14 +115,20 @@ class RoomCapture(Capture):
         return len(self._cameras)
 
     def __getitem__(self, index: int) -> Frame:
+        frame = self.picture(index)
+        hits = self._caster.cast(frame.camera.origin, frame.camera.rays().reshape(-1, 3))
+        depth = np.where(hits.hit, hits.distance, 0.0).astype(np.float32)
+        return dataclasses.replace(frame, depth=depth.reshape(frame.camera.intrinsics.shape))
+
+    def picture(self, index: int) -> Frame:
+        """See `Capture`."""
         number = range(len(self))[index]
-        return Frame(
-            name=f"{number:03d}",
-            image=self._images[number].astype(np.float32) / 255.0,
-            camera=self._cameras[number],
-            time=number / FRAME_RATE,
-            depth=self._depth[number].copy(),
-        )
+        image = self._images[number].astype(np.float32) / 255.0
+        return Frame(f"{number:03d}", image, self._cameras[number], number / FRAME_RATE)
+
+    @functools.cached_property
+    def _caster(self) -> RayCaster:
+        return RayCaster(self._surface)
 
 
 def scan_config() -> "ScanConfig":
@@ -198,13 +201,12 @@ class _Rendering:
         cameras = camera_path(n_frames, width, height)
         mesh = MeshArrays(np.asarray(self._room.mesh.vertices), np.asarray(self._room.mesh.faces))
         anchors = json.loads(json.dumps(self._room.anchors))
-        self._frames: list[Future[_Frame]] = [Future() for _ in cameras]
+        self._images: list[Future[_Image]] = [Future() for _ in cameras]
         self._file, self._quality, self._progress = file, quality, progress
         self._light_file = file.parent / f"room-light-v{VERSION}-seed{seed}-q{quality:g}.npz"  # of all sizes
         self._ended = threading.Event()
         self.is_broken_off = False
-        images, depth = _Awaited(self._frames, 0), _Awaited(self._frames, 1)
-        self.capture = RoomCapture(images, depth, cameras, mesh, anchors, file.stem)
+        self.capture = RoomCapture(_Awaited(self._images), cameras, mesh, anchors, file.stem)
         threading.Thread(target=self._run, args=(cameras, mesh, anchors), name="room", daemon=True).start()
 
     def wait(self) -> None:
@@ -214,23 +216,23 @@ class _Rendering:
         except BaseException:
             self.is_broken_off = True
             raise
-        self._frames[-1].result()
+        self._images[-1].result()
 
     def _run(self, cameras: list[Camera], mesh: MeshArrays, anchors: Mapping[str, Any]) -> None:
         try:
             if self._file.stem == SHIPPED:
-                shot = _shipped(cameras, mesh)
+                shot = _shipped(len(cameras))
             else:
                 shot = _rendered(self._room, cameras, self._quality, self._progress, self._light_file)
-            for number, frame in enumerate(shot):
+            for number, image in enumerate(shot):
                 if self.is_broken_off:
                     raise CancelledError
-                self._frames[number].set_result(frame)
-            images, depth = (np.stack(part) for part in zip(*(future.result() for future in self._frames)))
-            keep_arrays(self._file, room_arrays(images, depth, cameras, mesh, anchors))
+                self._images[number].set_result(image)
+            images = np.stack([future.result() for future in self._images])
+            keep_arrays(self._file, room_arrays(images, cameras, mesh, anchors))
         except BaseException as error:
             self.is_broken_off = True
-            waited_for = [future for future in self._frames if not future.done()]
+            waited_for = [future for future in self._images if not future.done()]
             for future in waited_for:
                 future.set_exception(error)
             if not waited_for:
@@ -247,52 +249,46 @@ _rendering = threading.Lock()
 
 
 class _Awaited:
-    """Pictures, or depth, of frames that are being rendered."""
+    """Pictures that are being rendered."""
 
-    def __init__(self, frames: "Sequence[Future[_Frame]]", part: int) -> None:
-        self._frames, self._part = frames, part
+    def __init__(self, images: "Sequence[Future[_Image]]") -> None:
+        self._images = images
 
-    def __getitem__(self, number: int) -> np.ndarray:
-        return self._frames[number].result()[self._part]
+    def __getitem__(self, number: int) -> _Image:
+        return self._images[number].result()
 
 
 def _rendered(
     room: "Room", cameras: list[Camera], quality: float, progress: bool, light_file: Path
-) -> "Iterator[_Frame]":
+) -> Iterator[_Image]:
     from hyjax.synthetic.room import photographs
 
     def kept(bake: Callable[[], np.ndarray]) -> np.ndarray:
         return cached_arrays(light_file, lambda arrays: arrays["irradiance"], lambda: {"irradiance": bake()})
 
-    for image, depth in photographs(room, cameras, quality, progress, kept):
-        yield to_bytes(image), depth
+    return map(to_bytes, photographs(room, cameras, quality, progress, kept))
 
 
-def _shipped(cameras: list[Camera], mesh: MeshArrays) -> "Iterator[_Frame]":
+def _shipped(count: int) -> Iterator[_Image]:
     from PIL import Image
 
-    caster = RayCaster(mesh)
-    for number, camera in enumerate(cameras):
-        hits = caster.cast(camera.origin, camera.rays().reshape(-1, 3))
-        depth = np.where(hits.hit, hits.distance, 0.0).astype(np.float32)
+    for number in range(count):
         file = PHOTOGRAPHS / f"{number:03d}.webp"
         try:
-            image = np.asarray(Image.open(file).convert("RGB"))
+            yield np.asarray(Image.open(file).convert("RGB"))
         except OSError as error:  # of Pillow, too
             raise InputError(
                 f"{file}: a photograph of the built-in room is damaged ({error}); install hyjax anew"
             ) from None
-        yield image, depth.reshape(camera.intrinsics.shape)
 
 
 def room_arrays(
-    images: np.ndarray, depth: np.ndarray, cameras: Sequence[Camera], mesh: MeshArrays, anchors: Mapping[str, Any]
+    images: np.ndarray, cameras: Sequence[Camera], mesh: MeshArrays, anchors: Mapping[str, Any]
 ) -> dict[str, np.ndarray]:
     """Arrays of a room for its file, from what `RoomCapture` takes."""
     k = cameras[0].intrinsics
     return {
         "images": images,
-        "depth": depth,
         "poses": np.stack([camera.pose for camera in cameras]),
         "intrinsics": np.array([k.fx, k.fy, k.cx, k.cy]),
         "vertices": mesh.vertices,
@@ -301,10 +297,10 @@ def room_arrays(
     }
 
 
-def room_parts(arrays: Arrays) -> tuple[np.ndarray, np.ndarray, list[Camera], MeshArrays, Mapping[str, Any]]:
+def room_parts(arrays: Arrays) -> tuple[np.ndarray, list[Camera], MeshArrays, Mapping[str, Any]]:
     """Parts of a room from the arrays of its file, see `room_arrays`."""
     height, width = arrays["images"].shape[1:3]
     intrinsics = Intrinsics(width, height, *(float(x) for x in arrays["intrinsics"]))
     cameras = [Camera(intrinsics, pose) for pose in arrays["poses"]]
     mesh, anchors = MeshArrays(arrays["vertices"], arrays["faces"]), json.loads(str(arrays["anchors"]))
-    return arrays["images"], arrays["depth"], cameras, mesh, anchors
+    return arrays["images"], cameras, mesh, anchors

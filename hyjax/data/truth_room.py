@@ -69,7 +69,7 @@ class TruthCapture(RoomCapture):
 
         def make() -> Arrays:
             exposure = truth_exposure(self.exposure, self.mean_light, setup.reference_lux)
-            picture, _ = self.room.photograph(self.light(setup), self._cameras[n], n, exposure)
+            picture = self.room.photograph(self.light(setup), self._cameras[n], n, exposure)
             return {"picture": np.round(255 * picture).astype(np.uint8)}
 
         return cached_arrays(file, lambda arrays: arrays["picture"].astype(np.float32) / 255, make)
@@ -108,9 +108,8 @@ def _photograph(room: TruthRoom, folder: Path, n_frames: int, width: int, height
     light = room.bake(room.sources, folder)
     room.photo_light = light
     cameras = room.walks.photos(n_frames, width, height)
-    frames = [room.photograph(light, camera, number) for number, camera in enumerate(cameras)]
-    images, depth = np.stack([to_bytes(image) for image, _ in frames]), np.stack([depth for _, depth in frames])
-    return room_arrays(images, depth, cameras, MeshArrays.of(room.mesh), room.anchors) | {
+    images = np.stack([to_bytes(room.photograph(light, camera, n)) for n, camera in enumerate(cameras)])
+    return room_arrays(images, cameras, MeshArrays.of(room.mesh), room.anchors) | {
         "scan_poses": np.stack([camera.pose for camera in room.walks.scan(scan_config().frames, 256, 192)]),
         "exposure": room.white,
         "mean_light": room.mean_light(light, cameras),

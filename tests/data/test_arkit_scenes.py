@@ -78,10 +78,10 @@ def test_any_capture_can_be_exported(room: RoomCapture, caster: RayCaster, tmp_p
     tilt = np.eye(4)
     tilt[:3, :3] = Rotation.from_rotvec([1.6, 0.2, 0.1]).as_matrix()
     cameras = [Camera(frame.camera.intrinsics, tilt @ frame.camera.pose) for frame in room]
-    images, depths = (np.stack(arrays) for arrays in zip(*((frame.image, frame.depth) for frame in room)))
-    tilted = RoomCapture(np.uint8(np.round(images * 255)), depths, cameras, room.reference(), {})
+    images, mesh = np.stack([frame.image for frame in room]), room.reference().copy().apply_transform(tilt)
+    tilted = RoomCapture(np.uint8(np.round(images * 255)), cameras, mesh, {})
     tilted.up = tilt[:3, :3] @ room.up
-    capture = open_capture(export_arkit_scan(tmp_path, tilted, room.reference().copy().apply_transform(tilt)))
+    capture = open_capture(export_arkit_scan(tmp_path, tilted, mesh))
     mine = RayCaster(surface_of(capture, progress=False)[1])
     for frame, original in zip(capture, room):
         seen, truth = mine.gbuffer(frame.camera), caster.gbuffer(original.camera)

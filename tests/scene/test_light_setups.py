@@ -588,7 +588,7 @@ def corridor() -> RoomCapture:
     eyes = [(0.2, y, 1.5) for y in np.linspace(1.0, 19.0, 7)]
     cameras = [box_camera(eye, (0.0, eye[1] + 2.0, 1.2)) for eye in eyes]
     photos = np.random.default_rng(0).integers(90, 140, (len(eyes), 48, 64, 3)).astype(np.uint8)
-    return RoomCapture(photos, np.zeros(photos.shape[:3], np.float32), cameras, mesh, {})
+    return RoomCapture(photos, cameras, mesh, {})
 
 
 def test_a_corridor_has_lights_all_along_and_no_black_pictures(corridor: RoomCapture) -> None:

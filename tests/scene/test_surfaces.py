@@ -128,7 +128,6 @@ def test_the_rooms_fused_surface_follows_its_frames(cache: Path, made: Made, roo
     frames = list(room)
     half = RoomCapture(
         np.stack([np.uint8(frames[0].image * 255)]),
-        np.stack([frames[0].depth]),
         [frames[0].camera],
         room.reference(),
         room.anchors,

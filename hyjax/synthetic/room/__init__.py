@@ -64,7 +64,7 @@ def photographs(
     quality: float = 1.0,
     progress: bool = False,
     keep: Keep = lambda bake: bake(),
-) -> Iterator[tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]]:
+) -> Iterator[Float[np.ndarray, "h w 3"]]:
     """Photograph the room, picture by picture.
 
     Args:
@@ -75,8 +75,7 @@ def photographs(
         keep: returns the irradiance / π of all texels: one that was kept, or made by the function that it gets.
 
     Returns:
-        For each camera the display-encoded (sRGB) picture in 8-bit steps, float32 in [0, 1], and the exact depth in
-        metres along the camera's axis, 0 outside the window.
+        For each camera the display-encoded (sRGB) picture in 8-bit steps, float32 in [0, 1].
     """
     if not 0.1 <= quality <= 2:
         raise InputError(f"room: quality is {quality}, must lie in [0.1, 2]")
@@ -84,10 +83,10 @@ def photographs(
         baked = _bake(room, quality, keep)
         bar.set_description("built-in room: frames")
 
-        def shoot(number: int) -> tuple[np.ndarray, np.ndarray]:
-            frame = photograph(baked, cameras[number], number)
+        def shoot(number: int) -> np.ndarray:
+            picture = photograph(baked, cameras[number], number)
             bar.update()
-            return frame
+            return picture
 
         with ThreadPool(WORKERS) as pool:  # whose threads end with the process
             yield from pool.imap(shoot, range(len(cameras)))

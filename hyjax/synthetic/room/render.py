@@ -113,10 +113,8 @@ class BakedRoom(Lit):
         return sky_radiance(rays.astype(np.float32))
 
 
-def photograph(
-    baked: Lit, camera: Camera, number: int
-) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
-    """Photograph a frame: display-encoded picture in 8-bit steps, and exact depth in metres (0 in holes)."""
+def photograph(baked: Lit, camera: Camera, number: int) -> Float[np.ndarray, "h w 3"]:
+    """Photograph a frame: display-encoded picture in 8-bit steps."""
     h, w = camera.intrinsics.shape
     rng = np.random.default_rng((baked.seed, 1, number))
     rays = camera.rays().reshape(-1, 3)
@@ -130,7 +128,7 @@ def photograph(
     # One mirror ray a pixel is too few on an edge, which borrows from its neighbours instead.
     mirror[shared] = gaussian_filter(mirror, (1.0, 1.0, 0), truncate=2)[shared]
     picture += mirror
-    return _develop(picture * baked.exposure, rng), depth
+    return _develop(picture * baked.exposure, rng)
 
 
 def _diffuse(

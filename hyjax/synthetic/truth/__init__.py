@@ -2,9 +2,9 @@
 
     room = lit_room("builtin-0")                       # or "random-5-2-both"
     mean = room.mean_light(room.photo_light, cameras)  # K
-    photo, depth = room.photograph(room.photo_light, cameras[0], 0)
+    photo = room.photograph(room.photo_light, cameras[0], 0)
     light = room.bake(setup.lights)
-    truth, _ = room.photograph(light, cameras[0], 0, truth_exposure(room.white, mean, setup.reference_lux))
+    truth = room.photograph(light, cameras[0], 0, truth_exposure(room.white, mean, setup.reference_lux))
     direct, bounce = room.irradiance(room.photo_light, mesh.vertices, mesh.vertex_normals)
 
 The light of every source is baked into light maps with six bounces, and what comes straight from bulbs and the sun

@@ -157,8 +157,8 @@ class TruthRoom:
 
     def photograph(
         self, light: TruthLight, camera: Camera, number: int, exposure: Float[np.ndarray, "3"] | None = None
-    ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
-        """Photograph a picture: display-encoded in 8-bit steps, and exact depth in metres (0 in holes).
+    ) -> Float[np.ndarray, "h w 3"]:
+        """Photograph a picture: display-encoded in 8-bit steps.
 
         Args:
             light: from `bake`.
