@@ -1,43 +1,47 @@
-"""Time of each stage of a frame at 512 x 512, first call and steady state.
+"""Programs of a frame at 512 x 512: their time beside a bound by memory and arithmetic, and their first call.
 
     python -m experiments.stage_times [--capture PATH] [--repeats 30] [--out results/stage_times]
 
-Takes about a minute on two cores (more the first time, when the built-in room is made). Prints its table.
-The first call contains the compilation, with no cache to help it; the rest are timed one by one, waiting for each
-result.
+Takes about a minute on two cores (more the first time, when the built-in room is made). Prints its table. The frame
+is the default's. Its programs are recorded while it is relit, and then timed one by one, waiting for each result. A
+first call contains the compilation, with no cache to help it.
 
-Light is evaluated at a quarter of the pixels, as `hyjax relight` does it (`--sampling 1` for all).
+*In and out* is the size of a program's arguments and results, *touched* all that XLA reads and writes in memory to
+get from these to those, by its own cost analysis, as are operations. The *bound* is the longer of two: in and out
+at the rate at which a 16 MiB array is read and written, operations at the rate of a product of matrices; both rates are
+measured in the same run. A program of several calls, such as one for each light, is added up.
 
-Expect: the visibility of soft lights and the G-buffer are the dearest; a cascade costs about what its steps and
-conductances cost when they are measured alone.
+Expect: light edges, the refinement of light and of visibility, and the G-buffer are the dearest; the refinements
+are farthest from their bounds, as they touch many times what they read and write.
 """
 
+import collections
 import dataclasses
-import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
-import hyjax
 from experiments.blocks import Block, Plot, Table
 from experiments.command import RunConfig, Start, experiment, run
 from experiments.plotting import bars
 from experiments.records import Row, machine, of_kind
 from experiments.timing import check_repeats
-from hyjax.core.cascade import largest_sampling
 from hyjax.data.frames import select_frames
 from hyjax.geometry.shadow_caster import cast_shadow_maps
-from hyjax.light.gbuffer import sample_pixels
-from hyjax.scene.place import view_of
+from hyjax.light.view import View
+from hyjax.scene.relighter import Relighter, refine
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.util.clock import measure
 
-CONDUCTANCES = "conductances, 4 levels"
 SIZE = 512
 """Pixels a side."""
+MEMORY_ARRAY, MATRIX_SIDE = 1 << 22, 1024
+"""Numbers in the array that is read and written, and side of the matrices that are multiplied, for the bounds."""
+HOST_PROGRAM, MAPS_PROGRAM = "G-buffer (host)", "shadow maps (host, once per scene)"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,109 +51,166 @@ class Config(RunConfig):
     lights: str = "noon-window"
     """A named set-up."""
     frame: int = 0
-    sampling: int = 2
-    """See `hyjax.relighting.settings.RelightSettings`."""
     repeats: int = 30
 
 
-@experiment("What each stage of a frame costs", "stage")
+@dataclasses.dataclass(frozen=True)
+class Call:
+    """Call of a program of a frame."""
+
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    options: dict[str, Any]
+
+    def __call__(self) -> Any:
+        return self.function(*self.arguments, **self.options)
+
+    @property
+    def name(self) -> str:
+        """Name of the function; of a class' method with that of the class."""
+        owner = getattr(self.function, "__self__", None)
+        name = str(getattr(self.function, "__name__", self.function))
+        return f"{owner.__name__}.{name}" if isinstance(owner, type) else name
+
+    def costs(self) -> dict[str, float]:
+        """Megabytes in and out and touched, and millions of operations."""
+        leaves, tree = jax.tree.flatten((self.arguments, self.options))
+        arrays = [place for place, leaf in enumerate(leaves) if getattr(leaf, "ndim", 0)]
+
+        def whole(*given: Any) -> Any:
+            filled = dict(enumerate(leaves)) | dict(zip(arrays, given, strict=True))
+            arguments, options = jax.tree.unflatten(tree, list(filled.values()))
+            return self.function(*arguments, **options)
+
+        found = jax.jit(whole).lower(*(leaves[place] for place in arrays)).compile().cost_analysis() or {}
+        operations = found.get("flops", 0.0) + found.get("transcendentals", 0.0)
+        return {
+            "in_out_mb": (size(leaves) + size(self())) / 1e6,
+            "touched_mb": found.get("bytes accessed", 0.0) / 1e6,
+            "operations_m": operations / 1e6,
+        }
+
+
+def size(tree: Any) -> int:
+    """Bytes of a tree's arrays."""
+    return sum(getattr(leaf, "nbytes", 0) for leaf in jax.tree.leaves(tree))
+
+
+@experiment("What each program of a frame costs, beside a bound", "stage")
 def main(config: Config, start: Start) -> None:
     results = start()
     scene = Scene.open(SceneSettings(config.capture, size=str(SIZE)), progress=True)
     (index,) = select_frames(str(config.frame), len(scene))
     check_repeats(config.repeats)
-    caster, frame, setup = scene.caster, scene.frame(index), scene.lights(config.lights)
-    lights, maps = setup.lights, scene.shadow_maps(setup)
-    view = view_of(frame, scene.gbuffer(frame.camera))
-    gbuffer, linear, guide = view.gbuffer, view.frame, view.display
-    names = "paper-50", "paper-80", "hyjax", "hyjax-scan-shadow"
-    paper_50, paper_80, ours, shadow = (hyjax.Schedule.preset(name) for name in names)
-    k = largest_sampling([ours, shadow], config.sampling)
-    samples = sample_pixels(gbuffer, sampling=k)
-    each = hyjax.shade_each(samples, lights)
-    looked_up = functools.partial(hyjax.visibilities, interleave=k)
-    fill, refine = (functools.partial(f, sampling=k) for f in (hyjax.fill_visibility, hyjax.shadow_pass))
-    seen = looked_up(samples, lights, maps)
-    shading = hyjax.shade(gbuffer, lights)
-    filled = fill(seen, each > 0, guide)
-
-    def shadows() -> Any:
-        return refine(fill(looked_up(samples, lights, maps), each > 0, guide), guide, shadow)
-
-    stages: list[tuple[str, Callable[..., Any], tuple[Any, ...], int]] = [
-        ("G-buffer (host)", caster.gbuffer, (frame.camera,), config.repeats),
-        ("shadow maps (host, once per scene)", cast_shadow_maps, (caster, lights), 3),
-        ("shading", hyjax.shade_each, (samples, lights), config.repeats),
-        ("visibility (map look-ups)", looked_up, (samples, lights, maps), config.repeats),
-        (CONDUCTANCES, jax.jit(hyjax.level_edges), (guide, paper_50), config.repeats),
-        ("cascade paper-50", hyjax.cascade, (shading, guide, paper_50), config.repeats),
-        ("cascade paper-80", hyjax.cascade, (shading, guide, paper_80), config.repeats),
-        ("cascade hyjax", hyjax.cascade, (shading, guide, ours), config.repeats),
-        ("fill of unseen visibility", fill, (seen, each > 0, guide), config.repeats),
-        ("shadow pass", refine, (filled, guide, shadow), config.repeats),
-        ("visibility, fill and shadow pass", shadows, (), config.repeats),
-        ("composite", hyjax.composite, (shading, linear), config.repeats),
-    ]
-    for schedule in (paper_80, ours):
-        args = view, setup, schedule, maps, largest_sampling([schedule, shadow], k)
-        stages.append((f"frame on the device, {schedule.name}", _frame, args, config.repeats))
+    relighter, camera = Relighter(scene, config.lights), scene.frame(index).camera
+    setup = relighter.setup
     results.add(
         kind="scene",
         mesh=scene.source,
         faces=len(scene.mesh.faces),
-        sampling=k,
-        lights=[type(light).__name__ for light in lights],
+        sampling=relighter.configuration.light.sampling,
+        lights=[type(light).__name__ for light in setup.lights],
     )
-    for name, function, args, repeats in stages:
-        jax.clear_caches()  # a stage must not find parts of itself compiled by the one before
-        results.add(kind="stage", stage=name, **measure(function, *args, repeats=repeats))
-    for name, time in alone(shading, guide, paper_50, config.repeats).items():
-        results.add(kind="part", part=name, **time)
+    array, matrix = jnp.ones(MEMORY_ARRAY), jnp.ones((MATRIX_SIDE, MATRIX_SIDE))
+    memory, product = (
+        measure(jax.jit(function), given, repeats=config.repeats)["median_ms"]
+        for function, given in ((lambda x: x + 1, array), (lambda x: x @ x, matrix))
+    )
+    results.add(
+        kind="rates",
+        gb_per_second=2e-6 * array.nbytes / memory,
+        operations_g=2e-6 * MATRIX_SIDE**3 / product,
+    )
+    maps = Call(cast_shadow_maps, (scene.caster, setup.lights), {})
+    gbuffer = Call(scene.gbuffer, (camera,), {})
+    for name, call, repeats in ((MAPS_PROGRAM, maps, 3), (HOST_PROGRAM, gbuffer, config.repeats)):
+        results.add(kind="stage", stage=name, **measure(call, repeats=repeats), in_out_mb=size(call()) / 1e6)
+    programs = collections.defaultdict[str, list[Call]](list)
+    for stage, call in recorded(scene, relighter, index):
+        programs[f"{stage}: {call.name}"].append(call)
+    for name, calls in programs.items():
+        jax.clear_caches()  # a program must not find parts of itself compiled by the one before
+        times = [measure(call, repeats=config.repeats) for call in calls]
+        parts = [call.costs() for call in calls]
+        sums = {key: sum(time[key] for time in times) for key in ("first_ms", "median_ms", "p95_ms")}
+        costs = {key: sum(part[key] for part in parts) for key in parts[0]}
+        results.add(kind="stage", stage=name, calls=len(calls), **sums, **costs)
 
 
-def _frame(view: hyjax.View, setup: hyjax.LightSetup, schedule: hyjax.Schedule, maps: Any, k: int) -> hyjax.Relit:
-    return hyjax.relight(view, view.shade(setup, shadow_maps=maps, sampling=k), view.display, schedule)
+def recorded(scene: Scene, relighter: Relighter, index: int) -> Iterator[tuple[str, Call]]:
+    """Stage and call of each program of a frame, but for its G-buffer, in order."""
+    calls: list[Call] = []
 
+    def record(function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        calls.append(Call(function, arguments, options))
+        return function(*arguments, **options)
 
-def alone(y: Any, guide: Any, schedule: hyjax.Schedule, repeats: int) -> dict[str, dict[str, Any]]:
-    """The parts of a cascade, each compiled and timed by itself."""
-    parts = {}
-    edges = hyjax.level_edges(guide, schedule)
-    finer = [level.factor for level in schedule.levels[1:]] + [1]
-    for level, level_edge, next_factor in zip(schedule.levels, edges, finer, strict=True):
-        state = hyjax.downsample(y, level.factor)
-        name = f"{level.steps} steps at 1/{level.factor}"
-        parts[name] = measure(hyjax.diffuse, state, level_edge, level.step_sizes, repeats=repeats)
-        ratio = level.factor // next_factor
-        shape = tuple(-(-n // next_factor) for n in y.shape[:2])
-        up = jax.jit(lambda x, ratio=ratio, shape=shape: hyjax.upsample(x, ratio, shape))
-        parts[f"1/{level.factor} to 1/{next_factor}"] = measure(up, state, repeats=repeats)
-    return parts
+    def done(stage: str) -> Iterator[tuple[str, Call]]:
+        yield from ((stage, call) for call in calls)
+        calls.clear()
+
+    frame, lit, setup = scene.frame(index), relighter.lit(index), relighter.setup
+    seen = lit.view
+    View.of(jax.device_put(frame.image), seen.gbuffer, pose=seen.pose, intrinsics=seen.intrinsics, run=record)
+    yield from done("view")
+    light = scene.surface_light(setup)
+    sampling = relighter.configuration.light.sampling
+    maps = scene.shadow_maps(setup)
+    for stage, _ in seen.shade_stages(setup, shadow_maps=maps, surface_light=light, sampling=sampling, run=record):
+        yield from done(stage)
+    for stage, _ in refine(lit, relighter.configuration, run=record):
+        yield from done(stage)
+        if stage == "composite":
+            break
 
 
 def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
-    """Table and figure from the rows; the cascade's parts summed up in one line."""
-    stages = of_kind(rows, "stage")
-    lines = [
-        [row["stage"], f"{row['first_ms']:.0f}", f"{row['median_ms']:.2f}", f"{row['p95_ms']:.2f}"]
-        for row in stages
-    ]
-    if of_kind(rows, "part"):
-        conductances = next(row for row in stages if row["stage"] == CONDUCTANCES)
-        together = conductances["median_ms"] + sum(row["median_ms"] for row in of_kind(rows, "part"))
-        name = "steps and upsampling of paper-50, each alone, plus conductances"
-        lines.append([name, "", f"{together:.2f}", ""])
+    """Table and figure from the rows."""
+    stages, (rates,) = of_kind(rows, "stage"), of_kind(rows, "rates")
+    bounds = {row["stage"]: bound(row, rates) for row in stages if "operations_m" in row}
     conditions = [
-        f"512 x 512, {scene['mesh']} ({scene['faces']} triangles), sampling {scene.get('sampling', 1)}, "
-        f"{', '.join(scene['lights'])}; {machine(scene)}"
+        f"512 x 512, {scene['mesh']} ({scene['faces']} triangles), sampling {scene['sampling']}, "
+        f"{', '.join(scene['lights'])}; {machine(scene)}; {rates['gb_per_second']:.0f} GB/s, "
+        f"{rates['operations_g']:.0f} billion operations/s"
         for scene in of_kind(rows, "scene")
     ] + [f"peak memory {row['peak_memory_mib']} MiB" for row in of_kind(rows, "finished")]
-    marks = [(row["stage"], row["p95_ms"]) for row in stages]
+    headings = [
+        "program",
+        "calls",
+        "first call ms",
+        "median ms",
+        "p95 ms",
+        "in and out MB",
+        "touched MB",
+        "M operations",
+    ]
+    lines = [[*told(row), *beside(row["median_ms"], bounds.get(row["stage"]))] for row in stages]
+    of_frame = [row for row in stages if row["stage"] in bounds]
+    whole = sum(row["median_ms"] for row in of_frame), sum(bounds.values())
+    lines.append(["all but those of the host", "", "", f"{whole[0]:.2f}", "", "", "", "", *beside(*whole)])
+    marks = [(row["stage"], bounds[row["stage"]]) for row in of_frame]
     figure = bars({row["stage"]: row["median_ms"] for row in stages}, marks, "milliseconds", xscale="log")
     return [
-        Table("; ".join(conditions) + ".", ["stage", "first call ms", "median ms", "p95 ms"], lines),
-        Plot(main.name, "Milliseconds of every stage: median (bar) and 95th percentile (tick).", figure),
+        Table("; ".join(conditions) + ".", headings, lines),
+        Plot(main.name, "Milliseconds of every program: median (bar) and its bound (tick).", figure),
     ]
+
+
+def bound(row: Row, rates: Row) -> float:
+    """Milliseconds that a program takes at least, by memory or by arithmetic."""
+    return float(max(row["in_out_mb"] / rates["gb_per_second"], row["operations_m"] / rates["operations_g"]))
+
+
+def told(row: Row) -> list[str]:
+    """Columns of a program that were measured."""
+    costs = [f"{row[key]:.1f}" if key in row else "" for key in ("in_out_mb", "touched_mb", "operations_m")]
+    times = f"{row['first_ms']:.0f}", f"{row['median_ms']:.2f}", f"{row['p95_ms']:.2f}"
+    return [row["stage"], str(row.get("calls", 1)), *times, *costs]
+
+
+def beside(milliseconds: float, least: float | None) -> list[str]:
+    """Bound, and a time as a multiple of it."""
+    return ["", ""] if least is None else [f"{least:.2f}", f"{milliseconds / least:.1f}"]
 
 
 if __name__ == "__main__":

@@ -105,9 +105,15 @@ def test_first_picture(scan: Path, tmp_path: Path) -> None:
 def test_stage_times(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stage_times, "SIZE", 2 * SIZE)
     rows = rows_of(stage_times.main, stage_times.Config(capture=scan, repeats=1, out=tmp_path), "stage_times.png")
-    stages = {row["stage"]: row["median_ms"] for row in of_kind(rows, "stage")}
-    assert {"shading", "cascade paper-80", "shadow pass", "composite"} < set(stages)
-    assert all(time > 0 for time in stages.values()) and len(of_kind(rows, "part")) == 8
+    stages = {row["stage"]: row for row in of_kind(rows, "stage")}
+    programs = {"view: to_linear", "cascade: refine_illuminance", "light edges: with_light_edges"}
+    assert {stage_times.HOST_PROGRAM, *programs, "composite: relit_picture"} < set(stages)
+    assert all(row["median_ms"] > 0 for row in stages.values())
+    assert stages["visibility: visibility"]["calls"] > 1
+    (rates,) = of_kind(rows, "rates")
+    for program in programs:
+        row = stages[program]
+        assert row["touched_mb"] >= row["in_out_mb"] > 0 and 0 < stage_times.bound(row, rates) < row["median_ms"]
 
 
 @pytest.mark.slow
