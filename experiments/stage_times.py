@@ -8,8 +8,8 @@ first call contains the compilation, with no cache to help it.
 
 *In and out* is the size of a program's arguments and results, *touched* all that XLA reads and writes in memory to
 get from these to those, by its own cost analysis, as are operations. The *bound* is the longer of two: in and out
-at the rate at which a 16 MiB array is read and written, operations at the rate of a product of matrices; both rates are
-measured in the same run. A program of several calls, such as one for each light, is added up.
+at the rate at which a 16 MiB array is read and written, operations at the rate of a product of matrices; both rates
+are measured in the same run. A program of several calls, such as one for each light, is added up.
 
 Expect: light edges, the refinement of light and of visibility, and the G-buffer are the dearest; the refinements
 are farthest from their bounds, as they touch many times what they read and write.
@@ -174,16 +174,8 @@ def blocks(rows: Sequence[Row], folder: Path) -> list[Block]:
         f"{rates['operations_g']:.0f} billion operations/s"
         for scene in of_kind(rows, "scene")
     ] + [f"peak memory {row['peak_memory_mib']} MiB" for row in of_kind(rows, "finished")]
-    headings = [
-        "program",
-        "calls",
-        "first call ms",
-        "median ms",
-        "p95 ms",
-        "in and out MB",
-        "touched MB",
-        "M operations",
-    ]
+    headings = ["program", "calls", "first call ms", "median ms", "p95 ms"]
+    headings += ["in and out MB", "touched MB", "million operations", "bound ms", "times the bound"]
     lines = [[*told(row), *beside(row["median_ms"], bounds.get(row["stage"]))] for row in stages]
     of_frame = [row for row in stages if row["stage"] in bounds]
     whole = sum(row["median_ms"] for row in of_frame), sum(bounds.values())
