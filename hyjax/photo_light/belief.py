@@ -95,8 +95,8 @@ def fit_and_judge(
         for left, (radiance, e) in zip((bright, hue), logs):
             left[fold == number] = differences(radiance, e, pairs[fold == number]).mean(axis=2)
     block = blocks(position[pairs[:, 0]], ERROR_SIDE)
-    found, error = flatness(bright, block)
-    belief = Belief(best(found, error), best(*flatness(hue, block)), tuple(float(x) for x in found))
+    found, covariance = flatness(bright, block)
+    belief = Belief(best(found, covariance), best(*flatness(hue, block)), tuple(float(x) for x in found))
     return whole.result().T, belief, bright
 
 
@@ -122,23 +122,30 @@ def differences(
 
 def flatness(
     left: Float[np.ndarray, "n e"], block: Int[np.ndarray, "n"]
-) -> tuple[Float[np.ndarray, "e"], Float[np.ndarray, "e"]]:
-    """Mean difference after dividing by E to each exponent over the one before, and its standard error.
+) -> tuple[Float[np.ndarray, "e"], Float[np.ndarray, "e e"]]:
+    """Mean difference after dividing by E to each exponent over the one before, and the covariance of its errors.
 
-    Pairs of one block are alike, so the error is by leaving out one block at a time (jackknife). Source: Efron and
+    Pairs of one block are alike, so errors are by leaving out one block at a time (jackknife). Source: Efron and
     Stein, "The jackknife estimate of variance", 1981.
     """
     sums = np.stack([np.bincount(block, column) for column in left.T], axis=1)
     total, count = sums.sum(axis=0), len(sums)
     found = total / max(total[0], 1e-9)
     if count < 2:
-        return found, np.full_like(found, np.inf)
+        return found, np.full((len(found),) * 2, np.inf)
     others = total - sums
     others = others / np.maximum(others[:, :1], 1e-9)
-    return found, np.sqrt((count - 1) * others.var(axis=0))
+    return found, (count - 1) * np.cov(others, rowvar=False, bias=True)
 
 
-def best(found: Float[np.ndarray, "e"], error: Float[np.ndarray, "e"]) -> float:
-    """Exponent that flattens most; 0 where it gains too little, or as much as few pairs may by chance."""
-    number = int(np.argmin(found))
-    return EXPONENTS[number] if 1 - found[number] > max(LEAST_GAIN, LEAST_ERRORS * error[number]) else 0.0
+def best(found: Float[np.ndarray, "e"], covariance: Float[np.ndarray, "e e"]) -> float:
+    """Exponent that flattens most; 0 where it gains too little, or as much as few pairs may by chance.
+
+    Of exponents that flatten as much to within a standard error it is the smallest, which does least harm. Source:
+    Breiman et al., *Classification and Regression Trees*, 1984 (the one-standard-error rule).
+    """
+    number, variance = int(np.argmin(found)), np.diagonal(covariance)
+    if 1 - found[number] <= max(LEAST_GAIN, LEAST_ERRORS * variance[number] ** 0.5):
+        return 0.0
+    apart = np.maximum(variance + variance[number] - 2 * covariance[number], 0.0) ** 0.5
+    return EXPONENTS[int(np.argmax(found - found[number] <= apart))]

@@ -254,7 +254,7 @@ def test_a_scan_of_three_triangles_leaves_the_light_even(lit: Lit) -> None:
 
 
 def scans(count: int, gain: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Flatness and its error of scans of so many blocks with ten pairs each, alike within a block."""
+    """Flatness and its covariance of scans of so many blocks with ten pairs each, alike within a block."""
     rng, block, found = np.random.default_rng(0), np.repeat(np.arange(count), 10), []
     for _ in range(200):
         before = rng.gamma(4.0, size=10 * count)
@@ -268,7 +268,7 @@ def scans(count: int, gain: float) -> list[tuple[np.ndarray, np.ndarray]]:
 def test_the_error_of_flatness_is_its_spread_over_scans() -> None:
     drawn = scans(40, gain=0.2)
     spread_of = np.std([found for found, _ in drawn], axis=0)
-    told = np.mean([error for _, error in drawn], axis=0)
+    told = np.mean([np.diagonal(covariance) ** 0.5 for _, covariance in drawn], axis=0)
     np.testing.assert_allclose(told[1:], spread_of[1:], rtol=0.15)
     assert told[0] == 0 and spread_of[-1] > 0.04  # ten times more pairs than blocks would tell a third of that
 
@@ -276,4 +276,12 @@ def test_the_error_of_flatness_is_its_spread_over_scans() -> None:
 def test_little_evidence_is_not_believed_where_much_is() -> None:
     few, many = (np.mean([best(*one) > 0 for one in scans(count, gain=0.1)]) for count in (8, 400))
     assert few < 0.4 and many == 1.0
-    assert best(np.array([1.0, 0.9, 0.8, 0.7, 0.6]), np.full(5, np.inf)) == 0.0
+    assert best(np.array([1.0, 0.9, 0.8, 0.7, 0.6]), np.full((5, 5), np.inf)) == 0.0
+
+
+def test_of_exponents_that_flatten_alike_the_smallest_is_taken() -> None:
+    """Alike is what differs by no more than the standard error of that difference, which is paired."""
+    found, apart = np.array([1.0, 0.95, 0.91, 0.902, 0.9]), np.array([0.1, 0.08, 0.04, 0.01, 0.0])
+    for scale, exponent in ((0.0, 1.0), (0.19, 1.0), (0.21, 0.75), (0.3, 0.5)):
+        by_exponent = scale * apart
+        assert best(found, np.outer(by_exponent[0] - by_exponent, by_exponent[0] - by_exponent)) == exponent
