@@ -142,7 +142,7 @@ def _rows(scene: Scene, patches: list[Patch]) -> tuple[list[Row], list[tuple[str
         pictures = {"photo": np.asarray(to_linear(jnp.asarray(frame.image)))}
         pictures |= {way: np.asarray(relighter.picture(index)) for way, relighter in relighters.items()}
         shown = [np.array(to_display(jnp.asarray(picture))) for picture in pictures.values()]
-        factor = frame.camera.intrinsics.width / scene.capture[index].camera.intrinsics.width
+        factor = frame.camera.intrinsics.width / scene.capture.camera(index).intrinsics.width
         for patch in group:
             mask = inside([(x * factor, y * factor) for x, y in patch.corners], frame.camera.intrinsics.shape)
             if not mask.any():

@@ -9,7 +9,7 @@ first call contains the compilation, with no cache to help it.
 *In and out* is the size of a program's arguments and results, *touched* all that XLA reads and writes in memory to
 get from these to those, by its own cost analysis, as are operations. The *bound* is the longer of two: in and out
 at the rate at which a 16 MiB array is read and written, operations at the rate of a product of matrices; both rates
-are measured in the same run. A program of several calls, such as one for each light, is added up.
+are measured in the same run. Times of several calls of a program, one for each light, are added up, p95 too.
 
 Expect: light edges, the refinement of light and of visibility, and the G-buffer are the dearest; the refinements
 are farthest from their bounds, as they touch many times what they read and write.
@@ -124,7 +124,7 @@ def main(config: Config, start: Start) -> None:
     maps = Call(cast_shadow_maps, (scene.caster, setup.lights), {})
     gbuffer = Call(scene.gbuffer, (camera,), {})
     for name, call, repeats in ((MAPS_PROGRAM, maps, 3), (HOST_PROGRAM, gbuffer, config.repeats)):
-        results.add(kind="stage", stage=name, **measure(call, repeats=repeats), in_out_mb=size(call()) / 1e6)
+        results.add(kind="stage", stage=name, **measure(call, repeats=repeats))
     programs = collections.defaultdict[str, list[Call]](list)
     for stage, call in recorded(scene, relighter, index):
         programs[f"{stage}: {call.name}"].append(call)

@@ -52,7 +52,7 @@ def main(config: Config, start: Start) -> None:
     capture = open_capture(config.capture)
     (index,) = select_frames(str(config.frame), len(capture))
     results = start(capture.name)
-    guide = fit(capture[index], (config.size, config.size)).image
+    guide = fit(capture.picture(index), (config.size, config.size)).image
     segments = felzenszwalb(guide, scale=100, sigma=0.8, min_size=50)
     noise = jax.random.uniform(jax.random.key(config.seed), (config.size, config.size, 1))
     schedules = {f"{n} steps": Schedule.uniform([(2, n)], kappa=config.kappa) for n in STEPS}

@@ -88,7 +88,7 @@ def _judge_room(
         sheet.append(_judge_setup(results, bench, setup, frames, weights, bar))
     write_contact_sheet(results.out / f"{name}.png", sheet, SHEET)
     check = frames[len(frames) // 2]
-    again = float(psnr(bench.again(check), bench.capture[check].image))
+    again = float(psnr(bench.again(check), bench.capture.picture(check).image))
     results.add(kind="room", room=name, again=again, **bench.row())
 
 
@@ -125,7 +125,7 @@ def _judge_setup(
                 methods = _scores(pictures, truth, weights)
                 results.add(kind="picture", room=room, setup=setup, index=index, methods=methods)
             if index == middle:
-                frame = np.asarray(bench.capture[index].image)
+                frame = np.asarray(bench.capture.picture(index).image)
                 shown = [frame, *(pictures[name].display() for name in SHEET[1:-1]), truth]
         bar.update()
     return f"{setup}, frame {middle}", shown

@@ -106,7 +106,7 @@ class TruthBench:
 
     def again(self, index: int) -> Float[np.ndarray, "h w 3"]:
         """A frame rendered again under the photo's own light; its noise is another frame's."""
-        camera, noise = self.capture[index].camera, index + len(self.capture)
+        camera, noise = self.capture.camera(index), index + len(self.capture)
         return self.capture.room.photograph(self.capture.photo_light(), camera, noise, self.capture.exposure)
 
     def row(self) -> dict[str, Any]:

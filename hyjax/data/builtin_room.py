@@ -16,6 +16,7 @@ from jaxtyping import UInt8
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.camera import Camera, Intrinsics
+from hyjax.geometry.depth_map import DepthReading
 from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.geometry.raycast import RayCaster
 from hyjax.util.cache import Arrays, cache_folder, cached_arrays, keep_arrays, read_kept
@@ -115,10 +116,14 @@ class RoomCapture(Capture):
         return len(self._cameras)
 
     def __getitem__(self, index: int) -> Frame:
-        frame = self.picture(index)
-        hits = self._caster.cast(frame.camera.origin, frame.camera.rays().reshape(-1, 3))
+        return dataclasses.replace(self.picture(index), depth=self.depth_reading(index).depth)
+
+    def depth_reading(self, index: int) -> DepthReading:
+        """See `Capture`; cast onto the true surface."""
+        camera = self._cameras[index]
+        hits = self._caster.cast(camera.origin, camera.rays().reshape(-1, 3))
         depth = np.where(hits.hit, hits.distance, 0.0).astype(np.float32)
-        return dataclasses.replace(frame, depth=depth.reshape(frame.camera.intrinsics.shape))
+        return DepthReading(depth.reshape(camera.intrinsics.shape), camera, None)
 
     def picture(self, index: int) -> Frame:
         """See `Capture`."""

@@ -227,7 +227,10 @@ DESCRIPTION = ("name", "up", "sensor", "metric", "depth_in_units", "times_known"
 
 
 class DerivedCapture(Capture):
-    """Capture derived from another one; a subclass overrides the parts that differ, at least `fingerprint`."""
+    """Capture derived from another one; a subclass overrides the parts that differ, at least `fingerprint`.
+
+    One whose frames differ by more than cameras and depth overrides `picture`, too.
+    """
 
     def __init__(self, source: Capture) -> None:
         self.source = source

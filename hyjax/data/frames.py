@@ -71,7 +71,7 @@ def small_frame(capture: Capture, index: int, *, keep: bool = False) -> Frame:
     """
     source = capture.picture_source
     kept: dict[int, Frame] = source.__dict__.setdefault("_small_frames", {})
-    frame = kept.pop(index, None) or shrink(source[index], SMALL_WIDTH)
+    frame = kept.pop(index, None) or shrink(source.picture(index), SMALL_WIDTH)
     if keep:
         kept[index] = frame
     if source is capture:

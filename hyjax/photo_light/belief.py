@@ -141,11 +141,12 @@ def flatness(
 def best(found: Float[np.ndarray, "e"], covariance: Float[np.ndarray, "e e"]) -> float:
     """Exponent that flattens most; 0 where it gains too little, or as much as few pairs may by chance.
 
-    Of exponents that flatten as much to within a standard error it is the smallest, which does least harm. Source:
-    Breiman et al., *Classification and Regression Trees*, 1984 (the one-standard-error rule).
+    Of exponents that gain enough, and as much to within a standard error, it is the smallest: it does least harm.
+    Source: Breiman et al., *Classification and Regression Trees*, 1984 (the one-standard-error rule).
     """
     number, variance = int(np.argmin(found)), np.diagonal(covariance)
-    if 1 - found[number] <= max(LEAST_GAIN, LEAST_ERRORS * variance[number] ** 0.5):
+    enough = 1 - found > np.maximum(LEAST_GAIN, LEAST_ERRORS * variance**0.5)
+    if not enough[number]:
         return 0.0
     apart = np.maximum(variance + variance[number] - 2 * covariance[number], 0.0) ** 0.5
-    return EXPONENTS[int(np.argmax(found - found[number] <= apart))]
+    return EXPONENTS[int(np.argmax(enough & (found - found[number] <= apart)))]

@@ -22,6 +22,7 @@ from hyjax.light.panes import Bars
 from hyjax.light.photo_light import PhotoLight, SurfaceLight, bounced_light
 from hyjax.light.setup import LightSetup, same_setup
 from hyjax.light.shadow_map import ShadowMap
+from hyjax.photo_light.belief import EXPONENTS
 from hyjax.photo_light.estimate import Estimate, estimate_arrays, read_estimate, trace_scan
 from hyjax.photo_light.hints import hinted_windows
 from hyjax.photo_light.source_arrays import sources_from_arrays, sources_to_arrays
@@ -145,13 +146,15 @@ class ScenePhotoLight:
         return f"light of the photos: {lit}; {fate}{remedy if sources.origin != 'file' else ''}"
 
     def record(self) -> dict[str, Any]:
-        """Entries of the photo's light in a run's record."""
+        """Entries of the photo's light in a run's record; flatness is by the exponent, the least if that is 0."""
+        found = self.estimate
+        flatness = found.flatness[EXPONENTS.index(found.exponent)] if found.exponent else min(found.flatness)
         return {
-            "sources": list(self.estimate.names),
+            "sources": list(found.names),
             "origin": self.sources.origin,
-            "exponent": self.estimate.exponent,
-            "hue_exponent": self.estimate.hue_exponent,
-            "flatness": round(min(self.estimate.flatness), 3),
+            "exponent": found.exponent,
+            "hue_exponent": found.hue_exponent,
+            "flatness": round(flatness, 3),
         }
 
     def unknown(self, existing: Mapping[str, Any]) -> str | None:

@@ -7,18 +7,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_capture as small
+import trimesh
 from test_convert import ALL_LAYOUTS, Source
 
+from hyjax.data.builtin_room import RoomCapture
 from hyjax.data.capture import Capture, ChosenFrames, Frame
 from hyjax.data.convert import SelectedFrames, write_capture
+from hyjax.data.frames import small_frame
 from hyjax.data.kinect import KINECT, RegisteredKinect
 from hyjax.data.registry import open_capture
 from hyjax.data.scaled import ScaledCapture
-from hyjax.geometry.camera import Camera
+from hyjax.geometry.camera import Camera, Intrinsics
 from hyjax.scene.alignment import AlignedCapture
 
 MOVED = np.eye(4)
 MOVED[0, 3] = 0.25
+
+
+BOX = trimesh.creation.box((8.0, 8.0, 8.0))
+
+
+def camera(index: int) -> Camera:
+    return Camera(Intrinsics(32, 24, 20.0, 20.0, 16.0, 12.0), small.pose(index))
 
 
 class KinectSource(Source):
@@ -46,7 +56,7 @@ def same(frame: Frame, whole: Frame) -> None:
 @pytest.mark.parametrize(
     "derived",
     [
-        lambda source: source,
+        lambda _: RoomCapture(np.zeros((2, 24, 32, 3), np.uint8), [camera(0), camera(1)], BOX, {}),
         lambda source: ChosenFrames(source, [1]),
         lambda source: SelectedFrames(source, [1], (24, 24)),
         lambda source: SelectedFrames(source, [1], None),
@@ -59,6 +69,7 @@ def test_a_picture_is_its_frame_without_depth(derived: Callable[[Capture], Captu
     capture = derived(Source())
     for index in range(len(capture)):
         same(capture.picture(index), capture[index])
+    assert (capture[0].depth > 0).any()
 
 
 @pytest.mark.parametrize("layout", ALL_LAYOUTS)
@@ -72,3 +83,4 @@ def test_no_depth_map_is_read_for_it(layout: str, tmp_path: Path) -> None:
             file.write_bytes(b"damaged")
     for index, frame in enumerate(whole):
         same(capture.picture(index), frame)
+        same(small_frame(capture, index), frame)

@@ -517,8 +517,8 @@ def test_the_truth_of_a_room_is_that_of_named_lights(scene: hyjax.Scene) -> None
     class Room(TruthCapture):
         def __init__(self) -> None: ...
 
-        def __getitem__(self, index: int) -> Frame:
-            return scene.capture[index]
+        def picture(self, index: int) -> Frame:
+            return scene.capture.picture(index)
 
         def truth(self, setup: Any, frames: Any, light: Any = None) -> Any:
             return [np.full((48, 64, 3), 0.25 * (1 + n), np.float32) for n in frames]

@@ -285,3 +285,5 @@ def test_of_exponents_that_flatten_alike_the_smallest_is_taken() -> None:
     for scale, exponent in ((0.0, 1.0), (0.19, 1.0), (0.21, 0.75), (0.3, 0.5)):
         by_exponent = scale * apart
         assert best(found, np.outer(by_exponent[0] - by_exponent, by_exponent[0] - by_exponent)) == exponent
+    apart = np.array([0.0, 0.004, 0.01, 0.015, 0.02])
+    assert best(np.array([1.0, 0.97, 0.955, 0.954, 0.95]), np.outer(apart, apart)) == 0.5  # 0.25 gains too little
