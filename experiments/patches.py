@@ -13,7 +13,7 @@ and gloss, too: unevenness cannot fall to nothing.
 Takes some minutes a capture on two free cores, most of it once: the fusion of its depth, and the photo's own light.
 
 Expect: with the photo's light kept, a ratio of 1.00; with the default, most below 1 and some above. `balanced` and
-`fast`, which leave light edges out, make some patches more uneven than they were; with them `balanced` does not.
+`fast`, which leave light edges out, make some patches more uneven than they were; with them `balanced` hardly does.
 """
 
 import dataclasses
