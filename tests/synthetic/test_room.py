@@ -145,9 +145,11 @@ def test_light_comes_from_the_window(room: Room) -> None:
 @pytest.mark.slow
 def test_same_seed_same_pictures(room: Room) -> None:
     cameras = camera_path(2, 48, 36)
+    other = make_room(0)
     first = list(photographs(room, cameras, quality=0.1))
-    again = list(photographs(make_room(0), cameras, quality=0.1))
+    again = list(photographs(other, cameras, quality=0.1))
     np.testing.assert_array_equal(first, again)
+    np.testing.assert_array_equal(room.mesh.triangles, other.mesh.triangles)
 
 
 @pytest.mark.slow
@@ -174,6 +176,8 @@ def test_the_photographs_that_are_shipped_are_rendered_ones(
         image = photograph(baked, cameras[number], number)
         apart = np.abs(shipped[number].image - image).max(axis=-1)
         assert np.mean(apart > 1.5 / 255) < most_single and apart.mean() < most_mean
+        seen = baked.caster.gbuffer_by_rays(cameras[number])
+        np.testing.assert_allclose(shipped[number].depth, seen.depth, atol=1e-5)
     (tmp_path / "000.webp").write_bytes((module.PHOTOGRAPHS / "000.webp").read_bytes()[:1000])
     monkeypatch.setattr(module, "PHOTOGRAPHS", tmp_path)
     with pytest.raises(
