@@ -187,9 +187,9 @@ def relight_stages(
     yield "relight filter", relight_filter
     kappa = schedule.levels[-1].kappa
     whole = run(upscaled_picture, full, view, relight_filter, image, shaded.emission, kappa, factor=factor)
-    yield "composite", whole[1]
+    yield "composite", whole
     small = run(compared, view.frame, shaded, illuminance, visibility, relight_filter, image)
-    yield "comparison", run(upscaled_stages, small, full, view, *whole, kappa, factor=factor)
+    yield "comparison", run(upscaled_stages, small, full, view, whole, kappa, factor=factor)
 
 
 def cascade_calls(

@@ -17,8 +17,9 @@ from hyjax.data.builtin_room import load_room
 from hyjax.info import print_choices
 from hyjax.light.photo_light import SurfaceLight
 from hyjax.relighting.settings import RelightSettings
+from hyjax.sweep.spec import random_configurations
 from hyjax.tuning.report_text import configuration_text
-from hyjax.tuning.space import Space, random_configurations
+from hyjax.tuning.space import Space
 from hyjax.util.errors import InputError
 
 

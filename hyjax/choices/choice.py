@@ -1,8 +1,10 @@
 """Row of the table of choices."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Literal
+
+from hyjax.util.errors import InputError
 
 if TYPE_CHECKING:
     from hyjax.light.photo_light import SurfaceLight
@@ -101,3 +103,18 @@ class Choice:
     def ignored_by(self, renderer: Renderer) -> bool:
         """Whether a renderer leaves it out: files hold the cascade of the light alone."""
         return self.part != "schedule" if renderer == "file" else renderer in self.said
+
+
+def named_values(texts: Iterable[str]) -> dict[str, str]:
+    """Values of choices by name, from options as NAME=VALUE.
+
+    >>> named_values(["bounces=false"])
+    {'bounces': 'false'}
+    """
+    values: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise InputError(f"choices: {text!r} has no value; write NAME=VALUE, such as bounces=false")
+        values[name] = value
+    return values

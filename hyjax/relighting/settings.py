@@ -5,6 +5,7 @@ import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from hyjax.choices.choice import named_values
 from hyjax.scene.settings import Occluders, SceneSettings, check_lights_name
 from hyjax.util.errors import InputError
 from hyjax.util.reading import read_text
@@ -124,7 +125,7 @@ class RelightSettings(Settings):
             raise InputError(f"configuration {name}: is of linear light; leave it or --paper-mode out")
         if self.schedule is not None or self.kappa is not None:
             chosen = dataclasses.replace(chosen, schedule=self.open_schedule())
-        values: dict[str, Any] = dict(_named_value(text) for text in self.choices)
+        values: dict[str, Any] = dict(named_values(self.choices))
         if self.sampling is not None:
             values["sampling"] = self.sampling
         if self.keep_photo_light:
@@ -159,13 +160,6 @@ class RelightSettings(Settings):
                 "photo_sources": None if self.scene.photo_sources is None else str(self.scene.photo_sources),
             }
         )
-
-
-def _named_value(text: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
-    if not equals:
-        raise InputError(f"choices: {text!r} has no value; write NAME=VALUE, such as bounces=false")
-    return name, value
 
 
 def is_schedule_file(text: str) -> bool:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
+import numpy as np
 
 from hyjax.configuration import Configuration
 from hyjax.data.frames import spread
@@ -24,7 +25,7 @@ from hyjax.data.light_file import is_light_file
 from hyjax.scene.settings import check_lights_name
 from hyjax.tuning.rooms import ROOM_PREFIX, check_room
 from hyjax.tuning.settings import ROOM_PHOTOS
-from hyjax.tuning.space import random_configurations
+from hyjax.tuning.space import Space
 from hyjax.util.errors import InputError, did_you_mean
 from hyjax.util.reading import exists, read_yaml
 from hyjax.util.sizes import parse_size
@@ -159,3 +160,10 @@ def _plain(configuration: Configuration) -> dict[str, Any]:
     content: dict[str, Any] = json.loads(configuration.to_json())
     # The same under another name, or measured elsewhere, is the same.
     return {name: value for name, value in content.items() if name not in ("name", "measured")}
+
+
+def random_configurations(count: int, seed: int) -> list[Configuration]:
+    """Random configurations, the default first; the same for the same seed."""
+    space, rng = Space.of(truth=True), np.random.default_rng(seed)
+    drawn = [space.default, *(space.random(rng) for _ in range(count - 1))]
+    return [space.configuration(choices, f"random-{seed}-{n}") for n, choices in enumerate(drawn)][:count]

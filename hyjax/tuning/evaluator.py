@@ -132,6 +132,7 @@ class StudyEvaluator(Evaluator):
             self.judge,
             self.cases[:batch],
             levels=levels,
+            held=self.space.fixed.keys(),
             report=lambda iteration, loss: self.say(f"numbers, iteration {iteration}"),
             expired=self._expired,
         )

@@ -6,7 +6,7 @@ logarithms); which levels take how many steps, and all else that is discrete, st
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -85,6 +85,7 @@ def refine_numbers(
     cases: Sequence[FrameCase],
     *,
     levels: bool = False,
+    held: Collection[str] = (),
     iterations: int = ITERATIONS,
     report: Callable[[int, float], None] = lambda iteration, loss: None,
     expired: Callable[[], bool] = lambda: False,
@@ -94,6 +95,7 @@ def refine_numbers(
     Args:
         cases: all of them are looked at in each iteration.
         levels: whether each level has its own κ, λ and α.
+        held: numbers that stay.
         report: called with each iteration and its loss, relative to the first.
         expired: asked before each iteration.
     """
@@ -101,7 +103,7 @@ def refine_numbers(
     gains = [judge.loss.gains(np.asarray(refined_picture(frame, judged)), target) for frame, target, judged in lit]
     most = max(frame.shaded.illuminance.shape[-1] for frame, _, _ in lit)
     alike = [padded(frame, most) for frame, _, _ in lit]
-    start = numbers_of(configuration, levels=levels)
+    start = {n: value for n, value in numbers_of(configuration, levels=levels).items() if n not in held}
     boxes = {name: np.log(CHOICES[name].tried.values) for name in start}  # type: ignore[union-attr]
 
     @functools.partial(jax.jit, compiler_options=cascade_options())

@@ -1,12 +1,14 @@
 """Settings of a tuning run. The command line takes its options, their defaults and their help from here."""
 
 import dataclasses
+import functools
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from hyjax.choices.choice import named_values
 from hyjax.scene.settings import SceneSettings, check_lights_name
 from hyjax.util.errors import InputError
 from hyjax.util.hosts import LOCAL
@@ -96,6 +98,22 @@ class FrameOptions(Settings):
     """Weight of LPIPS in the loss; it needs the extra lpips."""
     paper_form: bool = False
     """Tune the paper's own form as well, to compare both at their best."""
+    choices: tuple[str, ...] = ()
+    """Choices that are not searched, with the value that they keep, such as light_edges=true photo_exponent=1."""
+
+    @functools.cached_property
+    def held(self) -> dict[str, Any]:
+        """Values of the choices that are not searched."""
+        if not self.choices:
+            return {}
+        from hyjax.choices.table import choice_named
+        from hyjax.configuration import Configuration
+
+        values = named_values(self.choices)
+        own = Configuration().with_choices(values)
+        if left := [name for name in values if choice_named(name).tried is None]:
+            raise InputError(f"choices: {left[0]} is not searched; leave it out")
+        return {name: own.value(name) for name in values}
 
     @property
     def trial_count(self) -> int:
@@ -119,6 +137,7 @@ class FrameOptions(Settings):
             raise InputError(f"room frames: must be between 1 and {ROOM_PHOTOS}, got {self.room_frames}")
         if not (math.isfinite(self.lpips) and self.lpips >= 0):
             raise InputError(f"lpips: the weight must be finite and >= 0, got {self.lpips}")
+        _ = self.held
 
 
 @dataclasses.dataclass(frozen=True)
@@ -189,6 +208,8 @@ class TuneSettings(Settings):
             self._check_frame_alone()
         elif self.renderer is not None:
             raise InputError("for: goes with the whole frame on this machine; every renderer follows a schedule")
+        elif self.frame.choices:
+            raise InputError("choices: go with the whole frame on this machine")
         self.scene.check()
         if self.target != CONVERGED_TARGET:
             check_mesh_name(self.target)
@@ -196,7 +217,14 @@ class TuneSettings(Settings):
 
     def _check_frame_alone(self) -> None:
         """Raise `InputError` for options of the diffusion alone, or of a capture where rooms are tuned on."""
-        usual = TuneSettings()
+        from hyjax.choices.choice import RENDERERS
+        from hyjax.choices.table import CHOICES
+
+        usual, renderer = TuneSettings(), self.renderer
+        for name, value in self.frame.held.items():
+            row = CHOICES[name]
+            if renderer is not None and not row.followed_by(renderer) and value != row.usual_value:
+                raise InputError(f"choices: {name} {value} is not for {RENDERERS[renderer]}; leave it out")
         for name in ("guide", "recalibrate"):
             if getattr(self, name) != getattr(usual, name):
                 raise InputError(f"{name}: goes with --stage cascade; of a frame all guides are searched")

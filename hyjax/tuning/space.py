@@ -131,13 +131,22 @@ class Space:
     fixed: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     @classmethod
-    def of(cls, *, truth: bool, paper: bool = False, renderer: Renderer | None = None) -> "Space":
-        """Space of linear light, or of the paper's form; where a renderer is named, of the choices it follows."""
+    def of(
+        cls, *, truth: bool, paper: bool = False, renderer: Renderer | None = None, held: Choices | None = None
+    ) -> "Space":
+        """Space of linear light, or of the paper's form.
+
+        Args:
+            truth: whether true pictures judge.
+            renderer: only of the choices that it follows.
+            held: values of choices that are not searched.
+        """
         if paper:
             parameters = [p for c in CHOICES.values() if c.paper for p in Parameter.of(c, c.paper, paper=True)]
             return cls(tuple(parameters), True)
         chosen = [choice for choice in CHOICES.values() if choice.tried and (truth or not choice.truth)]
         left = {} if renderer is None else {c.name: c.usual_value for c in chosen if not c.followed_by(renderer)}
+        left |= held or {}
         kept = [choice for choice in chosen if choice.name not in left]
         return cls(tuple(p for c in kept if c.tried for p in Parameter.of(c, c.tried)), fixed=left)
 
@@ -337,10 +346,3 @@ def structure(choices: Mapping[str, Any], space: Space) -> str:
 def key_of(choices: Mapping[str, Any]) -> str:
     """Key of choices: the same for the same."""
     return repr(sorted(choices.items()))
-
-
-def random_configurations(count: int, seed: int) -> list[Configuration]:
-    """Random configurations, the default first; the same for the same seed."""
-    space, rng = Space.of(truth=True), np.random.default_rng(seed)
-    drawn: Sequence[Choices] = [space.default, *(space.random(rng) for _ in range(count - 1))]
-    return [space.configuration(choices, f"random-{seed}-{n}") for n, choices in enumerate(drawn)][:count]

@@ -138,7 +138,7 @@ class FrameStage(Stage):
         self.judge = self._judge = Judge(bench.scenes, PictureLoss.of(settings.frame.lpips))
         self.clock = FrameClock(bench.scenes[0], bench.lights, not settings.quiet)
         truth = all(bench.scenes[place].has_truth for place, *_ in bench.cases)
-        self.space = Space.of(truth=truth, renderer=settings.renderer)
+        self.space = Space.of(truth=truth, renderer=settings.renderer, held=settings.frame.held)
         self.base = Configuration()
         self.first = max(FEWEST_CASES, len(bench.scenes))
         self._environment = environment()
@@ -159,7 +159,7 @@ class FrameStage(Stage):
 
     def _unjudged(self) -> list[str]:
         """Choices that are not searched for want of true pictures."""
-        of_renderer = Space.of(truth=True, renderer=self.settings.renderer)
+        of_renderer = Space.of(truth=True, renderer=self.settings.renderer, held=self.settings.frame.held)
         return [name for name in of_renderer.named if name not in self.space.named]
 
     def check_reachable(self, space: Space, budgets: Sequence[Budget], base: FrameTime) -> None:
@@ -189,7 +189,8 @@ class FrameStage(Stage):
 
     def polished(self, configuration: Configuration, expired: Callable[[], bool]) -> Configuration:
         cases = self.cases[:POLISH_CASES]
-        better = refine_numbers(configuration, self._judge, cases, levels=True, expired=expired)
+        held = self.space.fixed.keys()
+        better = refine_numbers(configuration, self._judge, cases, levels=True, held=held, expired=expired)
         before, after = (
             np.mean([math.log(row["loss"]) for row in self.judge.scores(candidate, self.cases)])
             for candidate in (configuration, better)
@@ -229,6 +230,7 @@ class FrameStage(Stage):
             "cases": [list(case) for case in self.cases],
             "lpips": self.settings.frame.lpips,
             **({"for": self.settings.renderer} if self.settings.renderer else {}),
+            **({"held": self.settings.frame.held} if self.settings.frame.held else {}),
             "seed": self.settings.scene.seed,
             "hyjax": self._environment["versions"]["hyjax"],
         }

@@ -63,8 +63,8 @@ def test_tuning(small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_presets_are_chosen_by_tuning_rooms_and_time() -> None:
-    def row(name: str, ms: float, loss: float) -> dict:
-        text = Configuration().to_json()
+    def row(name: str, ms: float, loss: float, edges: bool = True) -> dict:
+        text = Configuration().with_choices({"light_edges": edges}).to_json()
         tuning = {"relative": loss}
         return {
             "name": name,
@@ -76,10 +76,12 @@ def test_presets_are_chosen_by_tuning_rooms_and_time() -> None:
         }
 
     rows = [row("a", 16.0, 0.8), row("b", 14.0, 0.9), row("c", 5.0, 0.99), row("d", 4.0, 0.98), row("e", 2.0, 1.2)]
-    chosen = frame_tuning.chosen_presets([*rows, row("fast", 5.0, 1.01), row("default", 1.0, 0.5)])
+    held = {"light_edges": True}
+    rows += [row("fast", 5.0, 1.01), row("default", 1.0, 0.5), row("without", 2.0, 0.7, edges=False)]
+    chosen = frame_tuning.chosen_presets(rows, held)
     assert {name: found["name"] for name, found in chosen.items()} == {"quality": "b", "balanced": "c", "fast": "d"}
     # One configuration has one name, and a preset for which there is none stays.
-    assert [*frame_tuning.chosen_presets([row("a", 4.0, 0.9)])] == ["quality"]
+    assert [*frame_tuning.chosen_presets([row("a", 4.0, 0.9)], held)] == ["quality"]
 
 
 def test_presets_that_come_with_hyjax_differ() -> None:

@@ -84,6 +84,9 @@ def test_the_best_is_not_worse_than_the_start(judge: Judge) -> None:
     before, after = (np.mean([row["loss"] for row in judge.scores(each, cases)]) for each in (poor, better))
     assert after < before
     assert float(np.asarray(better.schedule.levels[0].kappa)) < 0.4
+    same = refine_numbers(poor, judge, cases[:1], iterations=1, held=("photo_exponent", "kappa"))
+    assert same.light.photo_exponent == poor.light.photo_exponent and same.value("kappa") == poor.value("kappa")
+    assert same.value("lam") != poor.value("lam")
 
 
 @pytest.mark.slow
@@ -397,6 +400,12 @@ def test_a_search_on_a_capture_takes_five_minutes_unless_more_is_asked_for() -> 
         ({"frame": FrameOptions(holdout_rooms=("builtin-0",))}, "go with --rooms"),
         ({"frame": FrameOptions(trials=0)}, r"trials: must lie in 4\.\."),
         ({"frame": FrameOptions(lpips=-1.0)}, "lpips"),
+        ({"frame": FrameOptions(choices=("bounces",))}, "choices: 'bounces' has no value"),
+        ({"frame": FrameOptions(choices=("light_edge=true",))}, "did you mean"),
+        ({"frame": FrameOptions(choices=("cascade=8:4",))}, "give another schedule"),
+        ({"frame": FrameOptions(choices=("mode=paper",))}, "choices: mode is not searched"),
+        ({"frame": FrameOptions(choices=("scale=2",)), "renderer": "page"}, "choices: scale 2 is not for exported"),
+        ({"frame": FrameOptions(choices=("scale=2",)), "stage": "cascade"}, "choices: go with the whole frame"),
         ({"lights": "two-colors,nowhere"}, "nowhere"),
         ({"stage": "cascade", "lights": "two-colors,golden-hour"}, "one set-up"),
         ({"stage": "frame", "target_device": OtherDevice(device=True)}, "stage: a page times the diffusion alone"),

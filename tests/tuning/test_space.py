@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 
 from hyjax.configuration import PRESETS, Configuration
+from hyjax.sweep.spec import random_configurations
 from hyjax.tuning.budget import MOST_STEPS
-from hyjax.tuning.space import Parameter, Space, key_of, random_configurations, structure
+from hyjax.tuning.space import Parameter, Space, key_of, structure
 from hyjax.util.errors import InputError
 
 SPACES = [Space.of(truth=True), Space.of(truth=False), Space.of(truth=True, paper=True)]
@@ -165,6 +166,15 @@ def test_presets_are_in_the_space(name: str) -> None:
 def test_random_configurations_are_the_same_for_a_seed() -> None:
     made = [[c.to_json() for c in random_configurations(4, seed)] for seed in (3, 3, 4)]
     assert made[0] == made[1] != made[2] and len(set(made[0])) == 4
+
+
+def test_held_choices_keep_their_value() -> None:
+    space = Space.of(truth=True, held={"light_edges": False, "photo_exponent": 1.1, "scale": 2})
+    assert not {"light_edges", "photo_exponent", "scale"} & space.named.keys()
+    rng = np.random.default_rng(0)
+    for choices in (space.default, space.random(rng), space.choices_of(Configuration.preset("quality"))):
+        own = space.configuration(choices)
+        assert (own.light.edges, own.light.photo_exponent, own.scale) == (False, 1.1, 2)
 
 
 def test_a_page_is_offered_what_it_follows() -> None:
