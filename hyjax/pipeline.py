@@ -25,7 +25,7 @@ from hyjax.core.pyramid import level_shape
 from hyjax.core.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.core.schedule import Schedule
 from hyjax.light.color import to_display
-from hyjax.light.light_edges import Weights, with_light_edges
+from hyjax.light.light_edges import Weights, edge_correction, own_light, sharpened
 from hyjax.light.relit import Relit, compared, composite_display, ratio, relit_picture
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
@@ -173,22 +173,26 @@ def relight_stages(
     yield "cascade", illuminance
     visibility = run(*shadow_call)
     yield "shadow pass", visibility
+    correction = None
     if light_edges is not None and shaded.photo_light is not None and shaded.refined_photo_light is None:
-        illuminance = run(with_light_edges, illuminance, view, light_edges)
-        yield "light edges", illuminance
+        correction = run(edge_correction, view, run(own_light, illuminance), light_edges)
+        yield "light edges", correction
     if temporal_filter is not None:
+        if correction is not None:
+            illuminance, correction = run(sharpened, illuminance, correction), None
         illuminance, visibility = temporal_filter(illuminance, visibility)
         yield "temporal filter", (illuminance, visibility)
-    relight_filter, image = run(relit_picture, view.frame, shaded, illuminance, visibility)
+    refined = view.frame, shaded, illuminance, visibility
+    relight_filter, image = run(relit_picture, *refined, correction)
     if full is None or factor == 1:
         yield "composite", image
-        yield "comparison", run(compared, view.frame, shaded, illuminance, visibility, relight_filter, image)
+        yield "comparison", run(compared, *refined, relight_filter, image, correction)
         return
     yield "relight filter", relight_filter
     kappa = schedule.levels[-1].kappa
     whole = run(upscaled_picture, full, view, relight_filter, image, shaded.emission, kappa, factor=factor)
     yield "composite", whole
-    small = run(compared, view.frame, shaded, illuminance, visibility, relight_filter, image)
+    small = run(compared, *refined, relight_filter, image, correction)
     yield "comparison", run(upscaled_stages, small, full, view, whole, kappa, factor=factor)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from hyjax.light.light_edges import edge_correction, own_light, sharpened, with_light_edges
+from hyjax.light.light_edges import edge_correction
 from hyjax.pipeline import refine_illuminance, refine_visibility
 from hyjax.util.programs import run_kept
 
@@ -35,12 +35,9 @@ class KeptStages:
             shaded, *rest = arrays
             made_from = dataclasses.replace(shaded, colors=None), *rest  # no cascade takes colours
             return self._of(function, made_from, lambda: run_kept(function, *arrays, **static))
-        if function is with_light_edges and self._draft:
-            light, *rest = arrays
-            view, weights = rest
-            return sharpened(
-                light, self._of(function, rest, lambda: edge_correction(view, own_light(light), weights))
-            )
+        if function is edge_correction and self._draft:
+            view, _, weights = arrays
+            return self._of(function, (view, weights), lambda: run_kept(function, *arrays, **static))
         return run_kept(function, *arrays, **static)
 
     def _of(self, function: Any, arrays: Any, make: Callable[[], Any]) -> Any:

@@ -55,11 +55,6 @@ FEATURES = 12
 
 
 @jax.jit
-def with_light_edges(illuminance: Float[Array, "h w c"], view: View, weights: Weights) -> Float[Array, "h w c"]:
-    """Refined light whose last three channels, the photo's own light, follow the photo's light edges."""
-    return sharpened(illuminance, edge_correction(view, own_light(illuminance), weights))
-
-
 def own_light(illuminance: Float[Array, "h w c"]) -> Float[Array, "h w 3"]:
     """The photo's own light, the last three channels of refined light."""
     return jnp.maximum(illuminance[..., -3:], LEAST_PHOTO_LIGHT)

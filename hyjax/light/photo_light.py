@@ -27,7 +27,7 @@ from hyjax.light.shadow_map import ShadowMap, visibilities
 from hyjax.light.surface_outliers import without_outliers
 from hyjax.light.transport import Transport, bounce
 from hyjax.util.errors import InputError
-from hyjax.util.tracing import concrete
+from hyjax.util.tracing import Run, call, concrete
 
 LEAST_PHOTO_LIGHT = 0.05
 """Least share of the photo's mean light; below it noise would be amplified more than twentyfold."""
@@ -74,19 +74,42 @@ def interpolate(
 
 
 def bounced_light(
-    photo: PhotoLight, lights: Sequence[Light], shadow_maps: Sequence[ShadowMap | None] | None = None
+    photo: PhotoLight,
+    lights: Sequence[Light],
+    shadow_maps: Sequence[ShadowMap | None] | None = None,
+    *,
+    run: Run = call,
 ) -> Float[Array, "v 3"]:
     """Indirect illuminance (lux) of the vertices by way of other surfaces, with the lights' colours.
 
     Args:
         lights: bounces stand in the place of ambient ones, which fill them up where they give much less.
+        run: runs the function of each light, whose program serves other set-ups with a light of its kind.
     """
     maps = (None,) * len(lights) if shadow_maps is None else tuple(shadow_maps)
-    chosen = [(light, shadow_map) for light, shadow_map in zip(lights, maps, strict=True) if not light.UNIFORM]
-    if not chosen:
-        return jnp.zeros_like(photo.illuminance)
-    own, maps = zip(*chosen, strict=True)
-    return _bounced(photo, own, maps, least_bounced(lights, photo.filled_share))
+    total = jnp.zeros_like(photo.illuminance)
+    for light, shadow_map in zip(lights, maps, strict=True):
+        if not light.UNIFORM:
+            total += run(bounced_by, photo, light, shadow_map)
+    return jnp.maximum(total, least_bounced(lights, photo.filled_share))
+
+
+@jax.jit
+def bounced_by(photo: PhotoLight, light: Light, shadow_map: ShadowMap | None) -> Float[Array, "v 3"]:
+    """Indirect illuminance of the vertices by one light.
+
+    Outliers are held back for each light alone, so that lights add up.
+    """
+    transport = photo.transport
+    points = GBuffer(
+        transport.position[None],
+        transport.normal[None],
+        jnp.ones((1, transport.position.shape[0])),
+        jnp.ones((1, transport.position.shape[0]), bool),
+    )
+    channel = shade_each(points, [light]) * visibilities(points, [light], [shadow_map])
+    direct = channel[0] * light.color
+    return without_outliers(bounce(transport, photo.albedo, direct)[: transport.vertices], transport.faces)
 
 
 def least_bounced(lights: Sequence[Light], filled_share: float = FILLED_SHARE) -> Float[Array, "3"]:
@@ -102,33 +125,6 @@ def least_bounced(lights: Sequence[Light], filled_share: float = FILLED_SHARE) -
     for light in ambient if len(ambient) < len(lights) else []:
         least += filled_share * jnp.asarray(getattr(light, light.STRENGTH)) * jnp.asarray(light.color)
     return least
-
-
-@jax.jit
-def _bounced(
-    photo: PhotoLight,
-    lights: Sequence[Light],
-    shadow_maps: Sequence[ShadowMap | None],
-    least: Float[Array, "3"],
-) -> Float[Array, "v 3"]:
-    transport = photo.transport
-    points = GBuffer(
-        transport.position[None],
-        transport.normal[None],
-        jnp.ones((1, transport.position.shape[0])),
-        jnp.ones((1, transport.position.shape[0]), bool),
-    )
-    channels = (shade_each(points, lights) * visibilities(points, lights, shadow_maps))[0]
-    direct = channels[..., None] * jnp.stack([light.color for light in lights])
-    bounced = bounce(transport, photo.albedo, direct.reshape(len(direct), -1))[: transport.vertices]
-
-    def add(total: Float[Array, "v 3"], each: Float[Array, "v 3"]) -> tuple[Float[Array, "v 3"], None]:
-        return total + without_outliers(each, transport.faces), None
-
-    # Outliers are held back for each light alone, so that lights add up.
-    each = jnp.moveaxis(bounced.reshape(transport.vertices, len(lights), 3), 1, 0)
-    total, _ = jax.lax.scan(add, jnp.zeros_like(each[0]), each)
-    return jnp.maximum(total, least)
 
 
 @jax.tree_util.register_dataclass

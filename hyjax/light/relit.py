@@ -11,6 +11,7 @@ from hyjax.core.finite import finite_or_zero
 from hyjax.light.color import to_display, to_linear
 from hyjax.light.compositing import composite
 from hyjax.light.emission import Emission
+from hyjax.light.light_edges import sharpened
 from hyjax.light.photo_light import LEAST_PHOTO_LIGHT
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
@@ -44,10 +45,16 @@ def relit_picture(
     shaded: Shaded,
     illuminance: Float[Array, "h w c"],
     visibility: Float[Array, "h w l"],
+    correction: Float[Array, "h w 1"] | None = None,
 ) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
-    """Relight filter and relit picture, linear (Eq. 1). Pixels of the frame that are not finite are black."""
+    """Relight filter and relit picture, linear (Eq. 1). Pixels of the frame that are not finite are black.
+
+    Args:
+        illuminance, visibility: refined.
+        correction: of the photo's own light, see `hyjax.light.light_edges.edge_correction`.
+    """
     frame = finite_or_zero(frame)
-    direct, fields = _split(illuminance, shaded)
+    direct, fields = _split(illuminance, shaded, correction)
     light = _light(direct * visibility, shaded, fields)
     relight_filter = _or_ambient(_divide(light, shaded, fields, shaded.emission), shaded)
     return relight_filter, _with_emission(composite(relight_filter, frame), light, shaded)
@@ -61,6 +68,7 @@ def compared(
     visibility: Float[Array, "h w l"],
     relight_filter: Float[Array, "h w 3"],
     image: Float[Array, "h w 3"],
+    correction: Float[Array, "h w 1"] | None = None,
 ) -> Relit:
     """Stages of a relit frame for comparison; arguments and results of `relit_picture`."""
     frame = finite_or_zero(frame)
@@ -69,7 +77,7 @@ def compared(
         for channels in (shaded.illuminance, shaded.illuminance * shaded.visibility)
     )
     raw, raw_shadowed = (_repeated(sample, shaded.sampling, frame.shape) for sample in samples)
-    direct, fields = _split(illuminance, shaded)
+    direct, fields = _split(illuminance, shaded, correction)
     refined = _or_ambient(_divide(_light(direct, shaded, fields), shaded, fields, shaded.emission), shaded)
     visible, unrefined = ratio(relight_filter, refined), composite(raw_shadowed, frame)
     unrefined = _with_emission(unrefined, _light(direct * visibility, shaded, fields), shaded)
@@ -77,9 +85,10 @@ def compared(
 
 
 def _split(
-    illuminance: Float[Array, "h w c"], shaded: Shaded
+    illuminance: Float[Array, "h w c"], shaded: Shaded, correction: Float[Array, "h w 1"] | None
 ) -> tuple[Float[Array, "h w l"], list[Float[Array, "h w 3"]]]:
-    """Split off the channels of the lights from fields of three channels each."""
+    """Split off the channels of the lights from fields of three channels each, with light edges."""
+    illuminance = illuminance if correction is None else sharpened(illuminance, correction)
     count = shaded.illuminance.shape[-1]
     rest, before = illuminance[..., count:], shaded.refined_photo_light
     fields = jnp.split(rest, rest.shape[-1] // 3, axis=-1) if rest.shape[-1] else []

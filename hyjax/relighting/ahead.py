@@ -15,7 +15,7 @@ from hyjax.guide.choose import FrameGuide
 from hyjax.guide.edge_weights import edge_weights
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
-from hyjax.light.photo_light import SurfaceLight, bounced_light, direct_channels
+from hyjax.light.photo_light import SurfaceLight, bounced_by, direct_channels
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import shade_each
@@ -138,4 +138,6 @@ def compile_ahead(
             jax.block_until_ready(refined_picture(lit, configuration))
         if (expected := scene.photo_light.expected()) is not None:
             maps = scene.shadow_maps(setup, occluders=settings.occluders) if settings.shadows else None
-            make_ready(bounced_light, expected, setup.lights, maps)
+            for light, shadow_map in zip(setup.lights, maps or [None] * len(setup.lights), strict=True):
+                if not light.UNIFORM:
+                    make_ready(bounced_by, expected, light, shadow_map)

@@ -120,7 +120,8 @@ class ScenePhotoLight:
         last = self._last
         if last is not None and last[1] is shadow_maps and same_setup(last[0], setup):
             return last[2]
-        light = self.with_sources(run_kept(bounced_light, self.estimate.light, setup.lights, shadow_maps), setup)
+        bounced = bounced_light(self.estimate.light, setup.lights, shadow_maps, run=run_kept)
+        light = self.with_sources(bounced, setup)
         self._last = setup, shadow_maps, light
         return light
 

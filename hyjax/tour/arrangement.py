@@ -28,7 +28,7 @@ from hyjax.light.kinds import Light
 from hyjax.light.photo_light import (
     PhotoLight,
     SurfaceLight,
-    bounced_light,
+    bounced_by,
     direct_channels,
     indirect_on_pixels,
     least_bounced,
@@ -277,7 +277,7 @@ class Arrangement:
 
         def make() -> Float[Array, "v 3"]:
             points, shadow_map = self._points(coarse), self._shadow_map(light, (1.0, None), coarse)
-            return jax.block_until_ready(run_kept(bounced_light, points, [unit], [shadow_map]))
+            return jax.block_until_ready(run_kept(bounced_by, points, unit, shadow_map))
 
         return self._caches.bounces(geometry if coarse else fine, make)
 

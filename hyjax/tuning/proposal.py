@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hyjax.configuration import Configuration
-from hyjax.light.light_edges import with_light_edges
+from hyjax.light.light_edges import edge_correction, own_light, sharpened
 from hyjax.scene.relighter import LitFrame, refine
 from hyjax.tuning.budget import fits, moves, neighbours, project
 from hyjax.tuning.cost_model import CostModel
@@ -64,7 +64,8 @@ class FrameObjective(Objective):
         def relaxed(_: Array, visibility: Array) -> tuple[Array, Array]:
             illuminance = relaxed_channels(prepared, point, self.factors)
             if lit.light_edges is not None and lit.shaded.photo_light is not None:
-                illuminance = with_light_edges(illuminance, lit.view, lit.light_edges)
+                correction = edge_correction(lit.view, own_light(illuminance), lit.light_edges)
+                illuminance = sharpened(illuminance, correction)
             return illuminance, visibility
 
         stages = refine(lit, self.configuration, temporal_filter=relaxed)

@@ -112,7 +112,7 @@ def test_stage_times(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(stage_times, "SIZE", 2 * SIZE)
     rows = rows_of(stage_times.main, stage_times.Config(capture=scan, repeats=1, out=tmp_path), "stage_times.png")
     stages = {row["stage"]: row for row in of_kind(rows, "stage")}
-    programs = {"view: to_linear", "cascade: refine_illuminance", "light edges: with_light_edges"}
+    programs = {"view: to_linear", "cascade: refine_illuminance", "light edges: edge_correction"}
     assert {stage_times.HOST_PROGRAM, *programs, "composite: relit_picture"} < set(stages)
     assert all(row["median_ms"] > 0 for row in stages.values())
     assert stages["visibility: visibility"]["calls"] > 1

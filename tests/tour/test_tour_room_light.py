@@ -98,8 +98,8 @@ def test_bounces_are_computed_once_a_light(renderer: Renderer, monkeypatch: pyte
         calls.append(args)
         return bounced(*args)  # type: ignore[arg-type]
 
-    bounced = arrangement_module.bounced_light
-    monkeypatch.setattr(arrangement_module, "bounced_light", counted)
+    bounced = arrangement_module.bounced_by
+    monkeypatch.setattr(arrangement_module, "bounced_by", counted)
     elsewhere = replace(LAMP, position=(0.1, -1.1, 1.0))
     renderer.render(replace(NIGHT, lamps=(elsewhere,)), VIEW)
     assert len(calls) == 1
