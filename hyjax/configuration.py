@@ -126,9 +126,8 @@ class Configuration:
             return cls.paper()
         if name not in PRESETS:
             known = (DEFAULT, "paper", *PRESETS)
-            raise InputError(
-                f"configuration: no preset {name!r}{did_you_mean(name, known)}; there are {', '.join(known)}"
-            )
+            there_are = f"there are {', '.join(known)}, and files as NAME{SUFFIX}"
+            raise InputError(f"configuration: no preset {name!r}{did_you_mean(name, known)}; {there_are}")
         return cls.from_json((FOLDER / f"{name}{SUFFIX}").read_text(encoding="utf-8"))
 
     @classmethod

@@ -217,8 +217,8 @@ def _lights_alone(shaded: Shaded) -> Shaded:
 
 
 def _factor(full: tuple[int, ...], size: tuple[int, ...]) -> int:
-    """Size of the frame over that of the view."""
-    factor = max(1, -(-full[0] // size[0]))
+    """Size of the frame over that of the view, the smallest that fits."""
+    factor = max(1, *(-(-whole // part) for whole, part in zip(full, size)))
     if level_shape((full[0], full[1]), factor) != size:
         raise InputError(f"relight: the view, {size}, must be the frame, {full[:2]}, at a whole part of its size")
     return factor

@@ -116,5 +116,7 @@ def named_values(texts: Iterable[str]) -> dict[str, str]:
         name, equals, value = text.partition("=")
         if not equals:
             raise InputError(f"choices: {text!r} has no value; write NAME=VALUE, such as bounces=false")
+        if name in values:
+            raise InputError(f"choices: {name} is given twice")
         values[name] = value
     return values

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
 
 import msgspec
@@ -91,7 +92,10 @@ def wanted(choice: Choice) -> str:
     if get_origin(choice.type) is Literal:
         return f"one of {', '.join(map(str, get_args(choice.type)))}"
     kind = {bool: "true or false", int: "a whole number", float: "a number"}.get(choice.type, "another value")
-    bounds = "" if choice.bounds is None else " from {:g} to {:g}".format(*choice.bounds)
+    low, high = choice.bounds or (0, math.inf)
+    bounds = (
+        "" if choice.bounds is None else f" of {low:g} or more" if high >= 2**31 else f" from {low:g} to {high:g}"
+    )
     return f"{kind}{bounds}{' or none' * (choice.default is None)}"
 
 

@@ -28,6 +28,8 @@ from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError, shown
 from hyjax.util.tracing import concrete
 
+SHARE_ROUNDING = 1e-6
+"""Rounding of the share of a cell's pixels that are valid."""
 EPSILON = 1e-8
 """Metzger's guard against division by zero."""
 
@@ -243,7 +245,7 @@ def coarsen(
     """
     weight = downsample(valid[..., None].astype(y.dtype), factor)
     source = _filled(downsample(jnp.where(valid[..., None], y, 0.0), factor), weight)
-    return source, (weight[..., 0] >= least) & (weight[..., 0] > 0)
+    return source, (weight[..., 0] >= least - SHARE_ROUNDING) & (weight[..., 0] > 0)
 
 
 def _filled(total: Float[Array, "h w c"], weight: Float[Array, "h w 1"]) -> Float[Array, "h w c"]:

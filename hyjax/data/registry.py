@@ -67,7 +67,7 @@ def register_format(entry: CaptureFormat) -> None:
 
 
 def known_formats() -> str:
-    """The formats and their signs in one line, for help texts and messages."""
+    """The formats and their signs in one line."""
     return "; ".join(f"{entry.name} ({entry.signs})" for entry in CAPTURE_FORMATS)
 
 
@@ -153,7 +153,10 @@ def detect_format(tree: FileTree) -> tuple[FileTree, CaptureFormat]:
         )
     pictures = any(PurePosixPath(name).suffix.lower() in PICTURES for name in tree.names)
     poses = "pictures alone are none, poses and depth or a mesh belong to them (docs/own_data.md); " * pictures
-    raise InputError(f"{tree.path}: not a known capture layout; {poses}known are: {known_formats()}")
+    known = ", ".join(entry.name for entry in CAPTURE_FORMATS)
+    raise InputError(
+        f"{tree.path}: not a known capture layout; {poses}known are {known}; hyjax info lists the files of each"
+    )
 
 
 def _fitting(tree: FileTree) -> list[CaptureFormat]:

@@ -27,21 +27,17 @@ def surface(
 
     Args:
         normals: (n, 3), of the vertices.
+        faces: changed to -1 where the attributes of a triangle cannot be told.
         rays: direction of the ray through pixel (0, 0), its change by a column and by a row, and its origin.
         position, normal, depth, hit, barycentric: filled, see `GBuffer`.
     """
     e, plane = np.zeros((3, 3)), np.zeros(3)
     a, b, c, last, sign = 0, 0, 0, -1, 1.0
+    f0 = f1 = f2 = g0 = g1 = g2 = 0.0
     for row in range(rows[0], rows[1]):
         for column in range(faces.shape[1]):
             face = faces[row, column]
-            hit[row, column] = face >= 0
-            if face < 0:
-                depth[row, column] = 0.0
-                for k in range(3):
-                    position[row, column, k] = normal[row, column, k] = barycentric[row, column, k] = 0.0
-                continue
-            if face != last:
+            if face >= 0 and face != last:
                 last = face
                 a, b, c = triangles[face, 0], triangles[face, 1], triangles[face, 2]
                 for i, j, k in ((0, b, c), (1, c, a), (2, a, b)):
@@ -51,10 +47,19 @@ def surface(
                 for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
                     plane[i] = (vertices[b, j] - vertices[a, j]) * (vertices[c, k] - vertices[a, k])
                     plane[i] -= (vertices[b, k] - vertices[a, k]) * (vertices[c, j] - vertices[a, j])
-            f0 = abs(e[0, 0] * column + (e[0, 1] * row + e[0, 2]))
-            f1 = abs(e[1, 0] * column + (e[1, 1] * row + e[1, 2]))
-            f2 = abs(e[2, 0] * column + (e[2, 1] * row + e[2, 2]))
-            g0, g1, g2 = f0 * points[a, 3], f1 * points[b, 3], f2 * points[c, 3]
+            if face >= 0:
+                f0 = abs(e[0, 0] * column + (e[0, 1] * row + e[0, 2]))
+                f1 = abs(e[1, 0] * column + (e[1, 1] * row + e[1, 2]))
+                f2 = abs(e[2, 0] * column + (e[2, 1] * row + e[2, 2]))
+                g0, g1, g2 = f0 * points[a, 3], f1 * points[b, 3], f2 * points[c, 3]
+            # A triangle that is seen exactly edge-on has no point of its own there.
+            hit[row, column] = face >= 0 and g0 + g1 + g2 > 0.0
+            if not hit[row, column]:
+                faces[row, column] = -1
+                depth[row, column] = 0.0
+                for k in range(3):
+                    position[row, column, k] = normal[row, column, k] = barycentric[row, column, k] = 0.0
+                continue
             whole = 1.0 / (g0 + g1 + g2)
             g0, g1, g2 = g0 * whole, g1 * whole, g2 * whole
             z = (f0 * points[a, 2] + f1 * points[b, 2] + f2 * points[c, 2]) * whole

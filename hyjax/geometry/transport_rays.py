@@ -92,7 +92,7 @@ def enclose(caster: RayCaster, up: Float[np.ndarray, "3"]) -> Box:
     A flat or narrow scan has a box of `LEAST_SIDE` above and around it: closer, light could take any form on it.
     """
     axes = wall_axes(caster.mesh, up)
-    local = np.asarray(caster.mesh.vertices) @ axes.T
+    local = np.asarray(caster.mesh.vertices)[np.unique(caster.mesh.faces)] @ axes.T
     low, high = np.quantile(local, 0.002, axis=0) - MARGIN, np.quantile(local, 0.998, axis=0) + MARGIN
     lacking = np.maximum(LEAST_SIDE - (high - low), 0.0)
     return Box(axes, low - lacking * [0.5, 0.5, 0.0], high + lacking * [0.5, 0.5, 1.0])

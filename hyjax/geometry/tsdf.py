@@ -94,7 +94,9 @@ def fuse(
     if checkpoint is not None:
         remove(checkpoint)
     if volume.count == 0:
-        raise InputError(f"fuse: not one depth reading between {NEAR_LIMIT} and {max_depth} m; nothing to fuse")
+        raise InputError(
+            f"fuse: not one depth reading between {NEAR_LIMIT} and {max_depth} m; is their unit right?"
+        )
     coordinates, distance, weight = volume.blocks()
     return extract_surface(coordinates, distance, weight > min_weight, voxel)
 

@@ -89,8 +89,8 @@ def edge_correction(view: View, light: Float[Array, "h w 3"], weights: Weights) 
     buffer = view.gbuffer
     normal, depth, hit = (x[::factor, ::factor] for x in (buffer.normal, buffer.depth, buffer.hit))
     turned = mix_channels(normal, jnp.asarray(view.pose)[:3, :3])  # n R; XLA is slow with so small matrices
-    normal = jnp.where(hit[..., None], turned, 0.0)
-    depth = jnp.where(hit, depth, 1.0)
+    normal = finite_or_zero(jnp.where(hit[..., None], turned, 0.0))
+    depth = jnp.where(hit & jnp.isfinite(depth), depth, 1.0)
     frame, light = (downsample(x, factor) for x in (finite_or_zero(view.frame), light))
     log_frame = jnp.log(jnp.maximum(frame, LEAST_LIGHT))
     log_light = jnp.mean(jnp.log(light), axis=-1)
@@ -138,7 +138,7 @@ def edge_features(
     hue = log_frame - bright[..., None]
     level, light = (x - jnp.mean(x, axis=(-2, -1), keepdims=True) for x in (bright, log_light))
     (down, right), steep = (_on_grid(gradient(x)) for x in (bright, jnp.log(jnp.maximum(depth, LEAST_DEPTH))))
-    steepness = jnp.clip(10 * jnp.sqrt(steep[0] ** 2 + steep[1] ** 2), 0.0, 2.0)
+    steepness = jnp.clip(10 * jnp.sqrt(jnp.maximum(steep[0] ** 2 + steep[1] ** 2, 1e-12)), 0.0, 2.0)
     parts = [level / 2, 3 * right, 3 * down, light, (level - light) / 2, steepness]
     return jnp.concatenate([jnp.stack(parts, axis=-1), hue, normal], axis=-1)
 

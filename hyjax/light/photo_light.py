@@ -156,7 +156,8 @@ class SurfaceLight:
         """Light with the photo's own to a power, and the kept part in proportion: all of it is still the photo."""
         kept = self.kept
         if kept is not None:
-            kept = kept * jnp.maximum(self.photo_light, LEAST_PHOTO_LIGHT) ** (exponent - 1.0)
+            after = jnp.maximum(self.photo_light**exponent, LEAST_PHOTO_LIGHT)  # both as they are divided by
+            kept = kept * after / jnp.maximum(self.photo_light, LEAST_PHOTO_LIGHT)
         return dataclasses.replace(self, photo_light=self.photo_light**exponent, kept=kept)
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import CELLS, OFFSET
 from hyjax.light.kinds import Aperture
-from hyjax.photo_light.sources import PhotoSources
+from hyjax.photo_light.sources import UNSCANNED, PhotoSources
 from hyjax.util.vectors import unit
 
 BINS = (6, 4)
@@ -69,7 +69,7 @@ def make_basis(
     for lamp in sources.lamps:
         add(lamp.name, lamp_light(caster, starts, normal, lamp.position)[:, None], nothing)
     walls = _wall_light(hits, len(caster.mesh.faces))
-    for name, first, count in (("walls", 0, 4), ("floor", 4, 1), ("ceiling", 5, 1)):
+    for name, first, count in zip(UNSCANNED, (0, 4, 5), (4, 1, 1), strict=True):
         part = slice(first * CELLS**2, (first + count) * CELLS**2)
         square = _grid_pairs(CELLS, CELLS)
         pairs = np.concatenate([square + k * CELLS**2 for k in range(count)])

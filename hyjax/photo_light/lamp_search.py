@@ -189,8 +189,10 @@ def _seen_lit(sightings: Sequence[Sighting], place: Vector, radius: float) -> fl
     for s in sightings:
         (x, y), depth = s.frame.camera.project(place)
         k = s.frame.camera.intrinsics
+        if depth < 0.2:
+            continue
         row, column = int(y / k.height * s.low.shape[0]), int(x / k.width * s.low.shape[1])
-        if depth < 0.2 or not (1 <= row < s.low.shape[0] - 1 and 1 <= column < s.low.shape[1] - 1):
+        if not (1 <= row < s.low.shape[0] - 1 and 1 <= column < s.low.shape[1] - 1):
             continue
         if radius * k.fx / depth * s.low.shape[1] / k.width < 1.0:
             continue  # too far to be seen

@@ -104,7 +104,7 @@ def _sample(caster: RayCaster, frame: Frame) -> Sample:
     index, cosine = index[free], cosine[free]
     column, row = np.floor(pixel[index]).astype(int).T
     image = np.asarray(frame.image)
-    known = ~black_margin(image)
+    known = ~black_margin(image) & np.isfinite(image).all(axis=-1)
     shown = np.all([known[row + i, column + j] for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
     index, cosine, column, row = index[shown], cosine[shown], column[shown], row[shown]
     # The mean over a few pixels: a vertex stands for its surroundings.

@@ -36,6 +36,8 @@ SATURATED_VALUE = 0.97
 """Display value of all three channels from which a pixel counts as burnt out."""
 WALL_DISTANCE = 0.4
 """Largest distance, in metres, of a given window from the scan or its bounding box."""
+UNSCANNED = ("walls", "floor", "ceiling")
+"""Names of the light from the parts of the box around a scan."""
 LAMP_RADIUS = 0.05
 """Default radius of a lamp, in metres."""
 
@@ -199,6 +201,8 @@ def read_sources(path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarr
         made.append(PhotoLamp(lamp.name or f"lamp-{i + 1}", place, lamp.radius, np.zeros(0, int)))
     names = [window.name for window in windows] + [lamp.name for lamp in made]
     for name in names:
+        if name in UNSCANNED:
+            raise InputError(f"{path}: the name {name!r} is that of what was not scanned; choose another")
         if names.count(name) > 1:
             raise InputError(f"{path}: the name {name!r} is given twice")
     return PhotoSources(tuple(windows), tuple(made), "file")

@@ -28,7 +28,7 @@ from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.light_places import tell_made_up
-from hyjax.scene.light_setups import DARK_SETUPS, SETUPS
+from hyjax.scene.light_setups import DARK_SETUPS, EXPOSURES
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.util.arguments import checked_arguments
@@ -145,13 +145,18 @@ def relight_run(
         asked = settings.lights if lights is None else lights
         # The estimate of the photo's light runs on another thread. It may yet say how strong the lights are.
         begun = divides and settings.renderer == "shadow_map" and scene.photo_light.begin()
+        placed = scene.lights(asked, at_photo_sources=divides, exposed=False)
         if begun:
-            placed = scene.lights(asked, at_photo_sources=True, exposed=False)
             compile_ahead(scene, chosen, placed, settings, configuration, guide, clock)
+        elif settings.renderer == "shadow_map":
+            begin_programs(scene, chosen, placed, configuration, guide, video=settings.video)
         setup = scene.lights(asked, at_photo_sources=divides)
         setup.check_existing(divided=divides)
         if setup.existing:
-            scene.photo_light.kept(setup.existing)
+            try:
+                scene.photo_light.kept(setup.existing)
+            except InputError as error:
+                raise InputError(f"{asked}: {error}" if isinstance(asked, str | Path) else str(error)) from None
         for light in setup.lights:
             kind_name(light)  # it can be written in the end
         record |= {"mesh": scene.source, "guide": guide.name}
@@ -163,8 +168,6 @@ def relight_run(
         if settings.renderer == "webgpu":
             frames = relit_on_device(scene, chosen, setup, settings, configuration, guide, clock, device)
         else:
-            if settings.renderer == "shadow_map" and not begun:
-                begin_programs(scene, chosen, setup, configuration, guide, video=settings.video)
             relighter = Relighter(
                 scene,
                 setup,
@@ -192,7 +195,7 @@ def relight_run(
         tell_of_earlier_pictures(out, summary.written)
         if divides and scene.photo_light.sources.origin != "capture" and scene.photo_light.estimate.exponent:
             _log.warning("%s: %s", scene.capture.name, scene.photo_light.summary(scene.photo_light.estimate))
-        if str(asked) in SETUPS:
+        if str(asked) in EXPOSURES:  # the paper's two have lights of their own
             tell_made_up(str(asked), scene.anchors(at_photo_sources=divides), setup.lights)
         if not settings.each_light:
             given = isinstance(asked, str | Path) and is_light_file(str(asked))

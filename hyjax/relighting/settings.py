@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from hyjax.core.schedule import Schedule
     from hyjax.pipeline import Mode
 
+_log = logging.getLogger(__name__)
 Renderer = Literal["shadow_map", "blender", "webgpu"]
 
 
@@ -126,13 +128,18 @@ class RelightSettings(Settings):
         if self.schedule is not None or self.kappa is not None:
             chosen = dataclasses.replace(chosen, schedule=self.open_schedule())
         values: dict[str, Any] = dict(named_values(self.choices))
+        if "mode" in values:
+            raise InputError("choices: for the paper's form give --paper-mode or --configuration paper, not mode")
         if self.sampling is not None:
             values["sampling"] = self.sampling
         if self.keep_photo_light:
             values["photo_light"] = "kept"
         if self.guide is not None:
             values |= {"guide": self.guide, "guide_size": None, "guide_every": 1}
-        return chosen.with_choices(values).check()
+        made = chosen.with_choices(values).check()
+        if idle := named_values(self.choices).keys() - made.values().keys():
+            _log.warning("choices: %s: of no effect beside the others", ", ".join(sorted(idle)))
+        return made
 
     def open_schedule(self) -> "Schedule":
         """Schedule by name or from a file.

@@ -33,6 +33,8 @@ SPAN_QUANTILES = (0.01, 0.99)
 """Quantiles of the surface's coordinates that its range is told by: single wrong readings lie far away."""
 SHOWN_COUNT, SHOWN_LENGTH = 4, 480
 """Number of frames in the picture of an inspection, and the least longer side that they are kept at, in pixels."""
+USUAL_DEPTH = (0.1, 20.0)
+"""Range of the median depth of a room, in metres."""
 LONGEST_STEP = 1.0
 """Largest distance, in metres, between neighbouring frames of a walk."""
 
@@ -179,7 +181,7 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
         if frame.exposure is not None:
             exposures.append(frame.exposure)
     if not sizes:
-        raise InputError(f"{capture.name}: none of the pictures can be read")
+        raise InputError(f"{capture.name}: none of the frames can be read; the first: {doubts[-len(samples)]}")
     positions = np.array([capture.camera(index).origin for index in range(len(capture))])
     mesh = None
     try:
@@ -204,6 +206,8 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
             coverage = coverage_of(capture, mesh)
         else:
             doubts.append("the depth maps have no readings")
+    if quantiles is not None and not USUAL_DEPTH[0] < quantiles[1] < USUAL_DEPTH[1]:
+        doubts.append(f"the median depth is {quantiles[1]:.2g} m; is the unit of the depth maps right?")
     doubts += _doubts(capture, positions, mesh, coverage)
     seconds = max(times) - min(times) if capture.times_known else 0.0
     return Inspection(

@@ -164,8 +164,9 @@ def prepare_channels(
     Args:
         picture: colours, frame, target and where it is valid, for a loss.
     """
-    weight = confidence.astype(channels.dtype)
-    weighted = jnp.concatenate([channels * weight, weight], axis=-1)
+    usable = jnp.isfinite(channels).all(axis=-1, keepdims=True) & jnp.isfinite(confidence)
+    weight = jnp.where(usable, confidence.astype(channels.dtype), 0.0)  # as `cascade_known` has it
+    weighted = jnp.concatenate([jnp.where(weight > 0, channels, 0.0) * weight, weight], axis=-1)
     total = jnp.sum(weighted, axis=(0, 1))
     height, width = guide.shape[:2]
     whole = jnp.repeat(jnp.repeat(weighted, sampling, 0), sampling, 1)[:height, :width]

@@ -99,20 +99,24 @@ class FrameOptions(Settings):
     paper_form: bool = False
     """Tune the paper's own form as well, to compare both at their best."""
     choices: tuple[str, ...] = ()
-    """Choices that are not searched, with the value that they keep, such as light_edges=true photo_exponent=1."""
+    """Choices that are held instead of searched, such as light_edges=true scale=2; see hyjax info --choices."""
 
     @functools.cached_property
     def held(self) -> dict[str, Any]:
-        """Values of the choices that are not searched."""
+        """Values of the choices that are held."""
         if not self.choices:
             return {}
-        from hyjax.choices.table import choice_named
+        from hyjax.choices.table import CASCADES, choice_named
         from hyjax.configuration import Configuration
+        from hyjax.guide.choose import configured_guide
 
         values = named_values(self.choices)
+        for name in values:
+            if choice_named(name).tried is None or choice_named(name).part in CASCADES:
+                raise InputError(f"choices: {name} cannot be held; leave it out")
         own = Configuration().with_choices(values)
-        if left := [name for name in values if choice_named(name).tried is None]:
-            raise InputError(f"choices: {left[0]} is not searched; leave it out")
+        if "guide" in values:
+            configured_guide(own.guide)  # a file that cannot be used is told now
         return {name: own.value(name) for name in values}
 
     @property
@@ -209,7 +213,7 @@ class TuneSettings(Settings):
         elif self.renderer is not None:
             raise InputError("for: goes with the whole frame on this machine; every renderer follows a schedule")
         elif self.frame.choices:
-            raise InputError("choices: go with the whole frame on this machine")
+            raise InputError("choices: are of the whole frame on this machine; leave them out of --stage cascade")
         self.scene.check()
         if self.target != CONVERGED_TARGET:
             check_mesh_name(self.target)

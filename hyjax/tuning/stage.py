@@ -88,7 +88,7 @@ class Stage(abc.ABC):
         return
 
     def is_followed(self, configuration: Configuration) -> bool:
-        """Whether the renderer that is tuned for follows all choices."""
+        """Whether the renderer that is tuned for follows all choices, and those that are held have their value."""
         return True
 
     @abc.abstractmethod
@@ -173,15 +173,20 @@ class FrameStage(Stage):
 
     def is_followed(self, configuration: Configuration) -> bool:
         renderer, values = self.settings.renderer, configuration.values()
-        if renderer is None:
-            return True
-        return all(
+        if any(values.get(name, value) != value for name, value in self.settings.frame.held.items()):
+            return False
+        return renderer is None or all(
             CHOICES[n].followed_by(renderer) or value == CHOICES[n].usual_value for n, value in values.items()
         )
 
     def references(self) -> list[Configuration]:
         paper = [Configuration.paper()] if self.settings.frame.paper_form else []
-        return [self.base, *map(Configuration.preset, PRESETS), *paper]
+        return [self.base, *map(self._holding, map(Configuration.preset, PRESETS)), *paper]
+
+    def _holding(self, preset: Configuration) -> Configuration:
+        """A preset with the choices that are held."""
+        own = preset.with_choices(self.settings.frame.held)
+        return preset if own == preset else dataclasses.replace(own, name=f"{preset.name}-held")
 
     def evaluator(self, space: Space, study: Study, expired: Callable[[], bool]) -> StudyEvaluator:
         seed = self.settings.scene.seed

@@ -216,6 +216,12 @@ def test_gradient_memory_grows_like_the_root_of_the_steps() -> None:
     assert temporary_bytes(1600) < 5 * temporary_bytes(100)
 
 
+@pytest.mark.parametrize("factor", [3, 11, 22, 44])
+def test_a_cell_of_which_all_is_valid_is_known(factor: int) -> None:
+    y = jnp.ones((factor, factor, 1))
+    assert bool(coarsen(y, jnp.ones((factor, factor), bool), factor, least=1.0)[1].all())
+
+
 def test_coarsen_takes_the_means_of_what_is_valid() -> None:
     y, valid = picture(0, (13, 10), 2), random_mask(1, (13, 10))
     valid[:4, :8] = False  # one cell without any valid pixel

@@ -99,7 +99,7 @@ def test_the_new_format_stands_in_the_messages(album: Path, tmp_path: Path) -> N
     assert "Album (album.json, 0.png)" in known_formats() and "7-Scenes" in known_formats()
     (album / "album.json").unlink()
     with pytest.raises(
-        InputError, match=r"not a known capture layout; pictures alone .*7-Scenes .*ARKitScenes .*Album"
+        InputError, match=r"not a known capture layout; pictures alone .*7-Scenes.*ARKitScenes.*Album"
     ):
         open_capture(album)
     with pytest.raises(InputError, match="'Album' is registered already"):

@@ -89,6 +89,12 @@ def test_a_plane() -> None:
     np.testing.assert_allclose(areas[inner], np.pi * radius**2, rtol=1e-4)
 
 
+def test_points_that_come_twice_count_once() -> None:
+    points = grid(30, 0.02)
+    once, often = (disc_mesh(p, progress=False).area for p in (points, np.tile(points, (7, 1))))
+    assert often == pytest.approx(once, rel=1e-3)
+
+
 def test_a_sphere_thinned() -> None:
     points, _ = trimesh.sample.sample_surface(trimesh.creation.icosphere(5), 200_000, seed=0)
     mesh = disc_mesh(points, voxel=0.04, progress=False)

@@ -134,6 +134,24 @@ def test_empty_views_and_triangles_without_area() -> None:
     assert np.isfinite(Rasterizer(flat, np.array([[0, 1, 4]])).distances(camera_view(camera))).any()
 
 
+def test_a_table_seen_edge_on_leaves_no_pixel_without_a_number() -> None:
+    """A level camera at the height of a table's top, in whose plane pixel centres lie."""
+    x, y = np.meshgrid(np.linspace(-0.6, 0.6, 5), np.linspace(0.9, 2.6, 6), indexing="ij")
+    corners = (np.arange(4)[:, None] * 6 + np.arange(5)).reshape(-1, 1)
+    faces = (corners + np.array([[0, 1, 6, 1, 7, 6]])).reshape(-1, 3)
+    rng, lens = np.random.default_rng(0), Intrinsics(161, 121, 150.0, 150.0, 80.5, 60.5)
+    for _ in range(60):
+        height = round(float(rng.uniform(-0.5, 0.5)), 2)
+        top = trimesh.Trimesh(np.stack([x, y, np.full_like(x, height)], -1).reshape(-1, 3), faces, process=False)
+        mesh = trimesh.util.concatenate([trimesh.creation.box((8, 8, 3)), top])
+        eye = np.array([rng.uniform(-0.3, 0.3), -1.0, height])
+        toward = eye + np.array([rng.uniform(-0.2, 0.2), 1.0, 0.0])
+        found = RayCaster(mesh).gbuffer(Camera(lens, look_at(eye, toward, np.array([0.0, 0.0, 1.0]))))
+        for part in (found.depth, found.position, found.normal, found.barycentric):
+            assert np.isfinite(np.asarray(part)).all()
+        np.testing.assert_array_equal(np.asarray(found.face) >= 0, np.asarray(found.hit))
+
+
 def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(3)
     mesh, camera = clutter(rng), camera_in(rng)

@@ -12,7 +12,7 @@ from hyjax.light.emission import PANE_REFLECTANCE, PANE_SHARE, PANE_WHITE, Emitt
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import AmbientLight, Aperture, Light, PointLight, RectLight
 from hyjax.light.panes import Bars
-from hyjax.light.photo_light import SurfaceLight
+from hyjax.light.photo_light import LEAST_PHOTO_LIGHT, SurfaceLight
 from hyjax.light.view import View
 from hyjax.pipeline import relight
 from hyjax.util.errors import InputError
@@ -151,6 +151,15 @@ def view(frame: float = 0.6) -> View:
 def surface_light(photo: float, bounced: float, source: Emitters | None = None) -> SurfaceLight:
     faces = jnp.asarray([[0, 1, 2]])
     return SurfaceLight(jnp.full((3, 3), photo), jnp.full((3, 3), bounced), faces, source)
+
+
+@pytest.mark.parametrize("exponent", [0.5, 1.0, 1.3, 4.0])
+@pytest.mark.parametrize("photo", [0.03, 0.06, 0.2, 3.0])
+def test_light_that_stays_on_is_kept_at_any_power(photo: float, exponent: float) -> None:
+    light = dataclasses.replace(surface_light(photo, 0.0), kept=jnp.full((3, 3), max(photo, LEAST_PHOTO_LIGHT)))
+    made = light.raised(exponent)
+    assert made.kept is not None
+    np.testing.assert_allclose(made.kept, jnp.maximum(made.photo_light, LEAST_PHOTO_LIGHT), rtol=1e-5)
 
 
 def test_a_lamps_rim_goes_out_with_it() -> None:

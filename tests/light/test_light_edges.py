@@ -204,6 +204,17 @@ def test_pixels_that_are_not_finite_are_black_and_spoil_no_other(scene: Scene) -
     assert np.isfinite(edge_correction(broken, light, edge_weights())).all()
 
 
+def test_the_gradient_by_depth_is_finite(scene: Scene) -> None:
+    view, light = scene.view(0), jnp.ones((72, 96, 3))
+
+    def total(depth: jax.Array) -> jax.Array:
+        buffer = dataclasses.replace(view.gbuffer, depth=depth)
+        return edge_correction(dataclasses.replace(view, gbuffer=buffer), light, edge_weights()).sum()
+
+    for depth in (view.gbuffer.depth, jnp.full((72, 96), 2.0)):
+        assert np.isfinite(jax.grad(total)(depth)).all()
+
+
 def test_a_view_without_a_pose_and_other_weights_are_refused(scene: Scene) -> None:
     view, light = scene.view(0), jnp.ones((72, 96, 3))
     with pytest.raises(InputError, match="need the view's pose"):

@@ -109,6 +109,14 @@ def test_no_shining_pixel_is_none() -> None:
     np.testing.assert_allclose(one.image, other.image, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("size", "factor"), [((17, 100), 8), ((5, 64), 4), ((2, 61), 3), ((1, 640), 2), ((61, 2), 3), ((41, 64), 8)]
+)
+def test_narrow_frames_are_brought_to_their_size(size: tuple[int, int], factor: int) -> None:
+    display = frame_of(*size)
+    assert relit(shaded_of(level_shape(size, factor)), display, factor).image.shape == display.shape
+
+
 @pytest.mark.parametrize("size", [(32, 41), (33, 40), (40, 32), (16, 40), (15, 20), (64, 81)])
 def test_sizes_that_do_not_fit_are_refused(size: tuple[int, int]) -> None:
     view = view_of(frame_of(16, 20))

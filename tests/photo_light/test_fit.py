@@ -219,6 +219,15 @@ def test_a_black_margin_of_pictures_tells_no_radiance(lit: Lit) -> None:
     assert np.median(np.abs(np.log(found.radiance[both].mean(axis=1) / plain.radiance[both].mean(axis=1)))) < 0.02
 
 
+def test_a_broken_picture_takes_nothing_from_the_others(lit: Lit) -> None:
+    frames = frames_of(lit)
+    want = vertex_radiance(lit.caster, frames[:-1])
+    frames[-1].image[:] = np.nan
+    found = vertex_radiance(lit.caster, frames)
+    np.testing.assert_allclose(found.radiance, want.radiance, rtol=1e-6)
+    np.testing.assert_allclose(found.weight, want.weight, rtol=1e-6)
+
+
 def test_display_values_are_decoded() -> None:
     np.testing.assert_allclose(linear(np.array([0.0, 0.04, 0.5, 1.0])), [0.0, 0.003096, 0.214041, 1.0], atol=1e-5)
 

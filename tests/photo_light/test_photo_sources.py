@@ -153,6 +153,7 @@ def test_a_file_is_taken_as_it_is(scene: Scene, tmp_path: Path) -> None:
         (f"windows: [{WINDOW.replace('[1, 0, 0]', '[-1, 0, 0]')}]", "looks away from the cameras"),
         (f"windows: [{WINDOW.replace('[0.0, 2.95', '[-9.0, 2.95')}]", "off the scan's walls"),
         (f"windows: [{WINDOW}, {{name: window-1, {WINDOW[1:]}]", "given twice"),
+        (f"windows: [{{name: ceiling, {WINDOW[1:]}]", "'ceiling' is that of what was not scanned"),
         ("lamps: [{position: [99, 0, 0]}]", "outside the scan"),
         ("lamps: [{position: [1, 1]}]", "'position' must be three finite numbers"),
     ],

@@ -170,5 +170,5 @@ def test_nothing_to_read_is_refused() -> None:
         def __getitem__(self, index: int) -> Frame:
             raise InputError("0.jpg: damaged")
 
-    with pytest.raises(InputError, match="none of the pictures can be read"):
+    with pytest.raises(InputError, match="none of the frames can be read; the first: "):
         inspect(Broken(), progress=False)

@@ -90,6 +90,14 @@ def test_with_whole_steps_it_is_the_real_cascade(
     np.testing.assert_allclose(filter_of(prepared, point, FACTORS), want, rtol=2e-5, atol=2e-5)
 
 
+def test_a_value_that_is_not_finite_counts_as_unknown() -> None:
+    case = case_of(SIZES[0])
+    broken = dataclasses.replace(case.shaded, illuminance=case.shaded.illuminance.at[12, 3, 0].set(jnp.nan))
+    case, point = dataclasses.replace(case, shaded=broken), random_point((1, 2, 1), 0)
+    want = np.asarray(refined_filter(case, point.schedule(FACTORS)))
+    np.testing.assert_allclose(filter_of(prepare(case, FACTORS), point, FACTORS), want, rtol=2e-5, atol=2e-5)
+
+
 @pytest.mark.parametrize("size", SIZES[1:])
 @pytest.mark.parametrize(
     "steps", [(0, 2, 3), (2, 0, 3), (2, 3, 0), (0, 0, 2), (0, 2, 0), (2, 0, 0), (3, 2, 1), (MOST_STEPS, 0, 0)]
