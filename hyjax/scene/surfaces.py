@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hyjax.data.capture import Capture
+from hyjax.data.frames import spread
 from hyjax.geometry.mesh_arrays import MeshArrays
 from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.util.cache import cache_folder, cached_arrays
@@ -29,6 +30,8 @@ SURFACE_ERROR, LARGEST_ERROR = 0.03, 0.1
 """Least and largest slack of shadows (`hyjax.light.shadow_map.ShadowMap`) of a mesh that is not exact; metres."""
 READINGS_OFF = 3.0
 """Slack by the median distance between mesh and readings that it covers: of normal errors 96 % are smaller."""
+WINDING_CAMERAS = 12
+"""Number of cameras that tell the front of a mesh from its back."""
 SENSOR_DEFAULTS = FusionSettings()
 _log = logging.getLogger(__name__)
 MESH_NAMES = ("captured", "scan", "fused", "true")
@@ -98,7 +101,7 @@ def surface_arrays(
         check_mesh_name(mesh)
         from hyjax.geometry.mesh import load_mesh
 
-        return _judged(capture, mesh, _check_metres(load_mesh(Path(mesh), repair), mesh))
+        return _judged(capture, mesh, _usable(load_mesh(Path(mesh), repair), mesh, capture))
     if mesh == "true":
         true = capture.reference()
         if true is None:
@@ -138,7 +141,7 @@ def _captured(capture: Capture) -> tuple[str, MeshArrays]:
     mesh, file = capture.mesh(), capture.mesh_file
     assert mesh is not None
     description = "captured mesh" if file is None else f"captured mesh {file.name}"
-    return description, _check_metres(mesh, str(file or capture.name))
+    return description, _usable(mesh, str(file or capture.name), capture)
 
 
 def _fused(capture: Capture, fusion: FusionSettings, progress: bool) -> tuple[str, MeshArrays]:
@@ -208,10 +211,22 @@ def kept(description: str, capture: Capture, make: "Callable[[], trimesh.Trimesh
     return cached_arrays(file, MeshArrays.stored, lambda: MeshArrays.of(make()).to_store())
 
 
-def _check_metres(mesh: "trimesh.Trimesh", where: str) -> MeshArrays:
+def _usable(mesh: "trimesh.Trimesh", where: str, capture: Capture) -> MeshArrays:
+    """Mesh of somebody else, in metres and with its front to the cameras."""
+    from hyjax.geometry.raycast import RayCaster
+    from hyjax.geometry.winding import turned, turned_away
+
     if not 0.1 < max(mesh.extents) < 1000:
         raise InputError(f"{where}: spans {max(mesh.extents):.3g} m; a room's mesh must be in metres")
-    return MeshArrays.of(mesh)
+    arrays = MeshArrays.of(mesh)
+    cameras = [capture.camera(index) for index in spread(range(len(capture)), WINDING_CAMERAS)]
+    away = turned_away(RayCaster(arrays), cameras)
+    if not away.any():
+        return arrays
+    _log.warning(
+        "%s: %.2g %% of the triangles show the cameras their back; they are turned", where, 100 * away.mean()
+    )
+    return turned(arrays, away)
 
 
 def check_surface(fusion: FusionSettings, seed: int) -> None:

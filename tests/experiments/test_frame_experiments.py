@@ -79,7 +79,7 @@ def test_presets_are_chosen_by_tuning_rooms_and_time() -> None:
     held = {"light_edges": True}
     rows += [row("fast", 5.0, 1.01), row("default", 1.0, 0.5), row("without", 2.0, 0.7, edges=False)]
     chosen = frame_tuning.chosen_presets(rows, held)
-    assert {name: found["name"] for name, found in chosen.items()} == {"quality": "b", "balanced": "c", "fast": "d"}
+    assert {name: found["name"] for name, found in chosen.items()} == {"quality": "b", "balanced": "d", "fast": "e"}
     # One configuration has one name, and a preset for which there is none stays.
     assert [*frame_tuning.chosen_presets([row("a", 4.0, 0.9)], held)] == ["quality"]
 
