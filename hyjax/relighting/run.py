@@ -26,6 +26,7 @@ from hyjax.relighting.ahead import begin_programs, compile_ahead, is_short
 from hyjax.relighting.frames import RelitFrame, cycles, relit_frames, relit_on_device
 from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
 from hyjax.relighting.settings import RelightSettings
+from hyjax.scene.exposure import warn_of_far
 from hyjax.scene.fusion_settings import FusionSettings
 from hyjax.scene.light_places import tell_made_up
 from hyjax.scene.light_setups import DARK_SETUPS, EXPOSURES
@@ -195,6 +196,8 @@ def relight_run(
         tell_of_earlier_pictures(out, summary.written)
         if divides and scene.photo_light.sources.origin != "capture" and scene.photo_light.estimate.exponent:
             _log.warning("%s: %s", scene.capture.name, scene.photo_light.summary(scene.photo_light.estimate))
+        if isinstance(asked, str | Path) and is_light_file(str(asked)):
+            warn_of_far(setup.lights, scene.caster.bounds, str(asked))
         if str(asked) in EXPOSURES:  # the paper's two have lights of their own
             tell_made_up(str(asked), scene.anchors(at_photo_sources=divides), setup.lights)
         if not settings.each_light:

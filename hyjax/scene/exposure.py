@@ -2,11 +2,13 @@
 
 import dataclasses
 import logging
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from hyjax.light.kinds import Light
 from hyjax.light.setup import LightSetup
 from hyjax.scene.light_response import Response, kinds_of, paleness
 from hyjax.scene.seen_surface import SeenSurface
@@ -146,6 +148,19 @@ def _least_ambient(
         if np.median(seen.of_cameras(light)) >= (1.0 - ROUNDING) * exposure.share:
             break
     return float(filled) / response.filled_share
+
+
+def warn_of_far(lights: Sequence[Light], bounds: Float[np.ndarray, "2 3"], where: str) -> None:
+    """Warn of lights that stand farther from a scan than it is wide."""
+    low, high = np.asarray(bounds)
+    for number, light in enumerate(lights):
+        place = getattr(light, "position", getattr(light, "center", None))
+        if place is None:
+            continue
+        away = float(np.linalg.norm(np.maximum(0.0, np.maximum(low - np.asarray(place), np.asarray(place) - high))))
+        if away > np.linalg.norm(high - low):
+            kind = type(light).__name__
+            _log.warning("%s: light %d (%s) stands %.3g m outside the scan", where, number, kind, away)
 
 
 def warn_of_missing(setup: LightSetup, lux: Float[np.ndarray, "n l"], name: str) -> None:

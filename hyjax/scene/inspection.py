@@ -35,6 +35,8 @@ SHOWN_COUNT, SHOWN_LENGTH = 4, 480
 """Number of frames in the picture of an inspection, and the least longer side that they are kept at, in pixels."""
 USUAL_DEPTH = (0.1, 20.0)
 """Range of the median depth of a room, in metres."""
+UPSIDE_DOWN = -0.5
+"""Mean cosine between the pictures' upward direction and up, below which one of them is wrong."""
 LONGEST_STEP = 1.0
 """Largest distance, in metres, between neighbouring frames of a walk."""
 
@@ -233,6 +235,15 @@ def _doubts(
         yield f"the camera jumps by {steps.max():.3g} m before frame {steps.argmax() + 1}"
     if len(steps) and steps.sum() < 0.05:
         yield "the camera hardly moves; a mesh of one view has holes behind everything"
+    lens = capture.camera(0).intrinsics
+    if not all(0.25 < c / side < 0.75 for c, side in ((lens.cx, lens.width), (lens.cy, lens.height))):
+        yield (
+            f"the lens looks at ({lens.cx:.4g}, {lens.cy:.4g}) of pictures of {lens.width}x{lens.height}; are its "
+            "numbers of another size?"
+        )
+    heads = np.mean([-capture.camera(index).pose[:3, 1] @ capture.up for index in range(len(capture))])
+    if heads < UPSIDE_DOWN:
+        yield "the pictures stand on their heads, or up points down"
     if not capture.metric:
         yield "the unit of length is not known; give --scale, metres in one unit"
     if mesh is None and not capture.depth_count:

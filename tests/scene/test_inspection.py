@@ -27,8 +27,17 @@ class Walk(Capture):
 
     name, up, fingerprint, sensor, format = "walk", UP, "", PHONE_LIDAR, "made up"
 
-    def __init__(self, wall: trimesh.Trimesh | None = None, depth: bool = True, step: float = 0.1) -> None:
-        self._wall, self._depth, self._step = wall, depth, step
+    def __init__(
+        self,
+        wall: trimesh.Trimesh | None = None,
+        depth: bool = True,
+        step: float = 0.1,
+        *,
+        unit: float = 1.0,
+        lens: Intrinsics = LENS,
+        up: np.ndarray = UP,
+    ) -> None:
+        self._wall, self._depth, self._step, self._unit, self._lens, self.up = wall, depth, step, unit, lens, up
         self.mesh_file = None if wall is None else Path("wall.ply")
 
     def mesh(self) -> trimesh.Trimesh | None:
@@ -39,12 +48,12 @@ class Walk(Capture):
 
     def camera(self, index: int) -> Camera:
         eye = np.array([0.0, self._step * index, 0.0])
-        return Camera(LENS, look_at(eye, eye + np.eye(3)[0], UP))
+        return Camera(self._lens, look_at(eye, eye + np.eye(3)[0], UP))
 
     def __getitem__(self, index: int) -> Frame:
         if not 0 <= index < 6:
             raise IndexError
-        depth = np.full(LENS.shape, 2.0, np.float32) if self._depth else None
+        depth = np.full(LENS.shape, 2.0 * self._unit, np.float32) if self._depth else None
         if depth is not None:
             depth[:12] = 0
         picture = np.full((*LENS.shape, 3), 0.5, np.float32)
@@ -94,6 +103,9 @@ def test_times_that_were_not_recorded_are_not_told() -> None:
         (Walk(wall(), step=2.0), "the camera jumps by 2 m"),
         (Walk(step=0.001), "the camera hardly moves"),
         (Walk(depth=False), "neither depth nor a mesh; give one with --mesh FILE"),
+        (Walk(unit=1000.0), "the median depth is 2e\\+03 m; is the unit of the depth maps right"),
+        (Walk(lens=Intrinsics(64, 48, 50.0, 50.0, 64.0, 48.0)), r"looks at \(64, 48\) of pictures of 64x48"),
+        (Walk(up=-UP), "stand on their heads"),
     ],
 )
 def test_what_is_doubtful(capture: Walk, doubt: str) -> None:
@@ -170,5 +182,5 @@ def test_nothing_to_read_is_refused() -> None:
         def __getitem__(self, index: int) -> Frame:
             raise InputError("0.jpg: damaged")
 
-    with pytest.raises(InputError, match="none of the frames can be read; the first: "):
+    with pytest.raises(InputError, match=r"none of the frames can be read; the first: 0\.jpg: damaged"):
         inspect(Broken(), progress=False)

@@ -1,6 +1,7 @@
 """Named set-ups: in any room, lights hang in free space and give finite light."""
 
 import dataclasses
+import re
 
 import jax
 import numpy as np
@@ -11,11 +12,11 @@ from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.color import to_display
-from hyjax.light.kinds import DirectionalLight, PointLight, RectLight, SkyLight
+from hyjax.light.kinds import AmbientLight, DirectionalLight, PointLight, RectLight, SkyLight
 from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import dark_share
 from hyjax.scene import exposure as exposure_module
-from hyjax.scene.exposure import bounded, exposed, warn_of_missing
+from hyjax.scene.exposure import bounded, exposed, warn_of_far, warn_of_missing
 from hyjax.scene.light_places import LightAnchors, WindowPlace, survey, tell_made_up
 from hyjax.scene.light_response import Response, kinds_of, paleness
 from hyjax.scene.light_setups import EXPOSURES, SETUPS, _sunlit, named_setup, placed_setup
@@ -562,6 +563,14 @@ def test_a_light_that_misses_the_view_is_told(box: RayCaster, caplog: pytest.Log
     assert [record.getMessage() for record in caplog.records] == [
         "mine: light 0 (PointLight) reaches no surface that the cameras see"
     ]
+
+
+def test_a_light_far_outside_is_told(box: RayCaster, caplog: pytest.LogCaptureFixture) -> None:
+    near, far = (PointLight(np.array([0.0, y, 1.0]), 900.0, np.ones(3)) for y in (0.5, 180.0))
+    ambient = AmbientLight(20.0, np.ones(3))
+    warn_of_far([near, ambient, far], box.bounds, "mine.yaml")
+    (record,) = caplog.records
+    assert re.match(r"mine.yaml: light 2 \(PointLight\) stands 17\d m outside the scan", record.getMessage())
 
 
 def test_windows_shine_by_their_area_and_all_of_them(box: RayCaster) -> None:
