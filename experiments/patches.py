@@ -12,8 +12,7 @@ and gloss, too: unevenness cannot fall to nothing.
 
 Takes some minutes a capture on two free cores, most of it once: the fusion of its depth, and the photo's own light.
 
-Expect: with the photo's light kept, a ratio of 1.00; with the default, most below 1 and some above. `balanced` and
-`fast`, which leave light edges out, make some patches more uneven than they were; with them `balanced` hardly does.
+Expect: with the photo's light kept, a ratio of 1.00; with the default and the presets, most below 1 and some above.
 """
 
 import dataclasses
@@ -48,7 +47,7 @@ DARKEST = 1e-4
 OUTLINE = (1.0, 0.2, 0.8)
 KEPT = "photo's light kept"
 WAYS = {name: Configuration.of(name) for name in ("default", *PRESETS)} | {
-    "balanced, light edges": Configuration.of("balanced").with_choices({"light_edges": True}),
+    "without light edges": Configuration().with_choices({"light_edges": False}),
     KEPT: Configuration().with_choices({"photo_light": "kept"}),
 }
 """Configurations by the names of columns."""
