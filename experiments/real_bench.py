@@ -260,7 +260,7 @@ class RealPlace:
         if weights is None:
             return self.estimated
         correction = edge_correction(self.view, jnp.asarray(self.estimated, jnp.float32), weights)
-        return np.maximum(self.estimated * np.exp(np.asarray(correction)), LEAST_PHOTO_LIGHT)
+        return np.maximum(self.estimated * np.asarray(correction), LEAST_PHOTO_LIGHT)
 
     def _shades_at(self, position: np.ndarray) -> Float[np.ndarray, "*s k"]:
         lamps = np.stack([np.asarray(self.lights[k].position) for k in self.lamps])  # type: ignore[attr-defined]

@@ -62,15 +62,15 @@ def own_light(illuminance: Float[Array, "h w c"]) -> Float[Array, "h w 3"]:
 
 @jax.jit
 def sharpened(illuminance: Float[Array, "h w c"], correction: Float[Array, "h w 1"]) -> Float[Array, "h w c"]:
-    """Refined light, of which the photo's own is multiplied by exp c, see `edge_correction`."""
+    """Refined light, of which the photo's own is multiplied by a correction, see `edge_correction`."""
     # Chosen by channel: XLA's CPU backend takes longer to join parts of the channels.
     own = np.arange(illuminance.shape[-1]) >= illuminance.shape[-1] - 3
-    return jnp.where(own, jnp.maximum(illuminance, LEAST_PHOTO_LIGHT) * jnp.exp(correction), illuminance)
+    return jnp.where(own, jnp.maximum(illuminance, LEAST_PHOTO_LIGHT) * correction, illuminance)
 
 
 @jax.jit
 def edge_correction(view: View, light: Float[Array, "h w 3"], weights: Weights) -> Float[Array, "h w 1"]:
-    """Logarithm c of what the photo's own light is multiplied by.
+    """Correction exp c that the photo's own light is multiplied by.
 
     Args:
         view: of the frame, with a pose; its pixels that are not finite are black.
@@ -102,7 +102,7 @@ def edge_correction(view: View, light: Float[Array, "h w 3"], weights: Weights) 
     # Under the frame, as a cascade's last level is: a blur of it across a border would be a halo.
     # Twice: XLA's CPU backend takes twice as long for one channel as for two.
     twice = jnp.stack([correction, correction], axis=-1)
-    return guided_upsample(twice, factor, view.display, GUIDED_KAPPA)[..., :1]
+    return jnp.exp(guided_upsample(twice, factor, view.display, GUIDED_KAPPA)[..., :1])
 
 
 def _pooling(longest: int) -> int:
