@@ -44,9 +44,6 @@ TRUTH_CAPTION = (
 LIGHT = ("paper's method, times light", "ours, times light")
 FILTERS = ("strength / reach", "PSNR dB", "loss")
 
-SEARCHED = ("tuned-0.349", "tuned-10000ms", "default", "paper-tuned", "paper")
-"""Not the presets, which were others when the search ran."""
-
 REAL_LINES = (
     "untouched photo",
     "three gains",
@@ -138,7 +135,6 @@ TABLES: dict[str, Published] = {
     "explore-latency": Published("explore_latency"),
     # tuning
     "presets": Published("frame_tuning", 0),
-    "preset-search": Published("frame_tuning", 1, lines=SEARCHED),
     "choices": Published("frame_tuning", 2),
     "number-search": Published("number_search", 0),
     "number-weights": Published("number_search", 1),

@@ -146,11 +146,9 @@ def relight_run(
         asked = settings.lights if lights is None else lights
         # The estimate of the photo's light runs on another thread. It may yet say how strong the lights are.
         begun = divides and settings.renderer == "shadow_map" and scene.photo_light.begin()
-        placed = scene.lights(asked, at_photo_sources=divides, exposed=False)
         if begun:
+            placed = scene.lights(asked, at_photo_sources=True, exposed=False)
             compile_ahead(scene, chosen, placed, settings, configuration, guide, clock)
-        elif settings.renderer == "shadow_map":
-            begin_programs(scene, chosen, placed, configuration, guide, video=settings.video)
         setup = scene.lights(asked, at_photo_sources=divides)
         setup.check_existing(divided=divides)
         if setup.existing:
@@ -169,6 +167,8 @@ def relight_run(
         if settings.renderer == "webgpu":
             frames = relit_on_device(scene, chosen, setup, settings, configuration, guide, clock, device)
         else:
+            if settings.renderer == "shadow_map" and not begun:
+                begin_programs(scene, chosen, setup, configuration, guide, video=settings.video)
             relighter = Relighter(
                 scene,
                 setup,
