@@ -48,14 +48,12 @@ def disc_mesh(
     if not np.isfinite(points).all():
         raise InputError("point cloud: need finite points, some are not")
     points = points if voxel is None else thinned(points, voxel)
+    points = points.astype(np.float32)
+    different = np.unique(points, axis=0)  # the distance of equal ones is no square's side
+    points = points if len(different) == len(points) else different
     if len(points) <= NEIGHBOURS:
         at = "" if voxel is None else f" at a voxel of {voxel:g} m"
         raise InputError(f"point cloud: {len(points)} points{at} make no surface; need at least {NEIGHBOURS + 1}")
-    points = points.astype(np.float32)
-    different = np.unique(points, axis=0)
-    points = (
-        points if len(different) == len(points) else different
-    )  # of equal ones one: no square is their distance
     # Points lie on surfaces, near the median of any box around them: sliding cuts are as good and build faster.
     tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
     axes, nearest = np.empty((len(points), 3, 3), np.float32), np.empty((len(points), COVERING_NEIGHBOUR), np.int32)

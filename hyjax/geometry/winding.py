@@ -14,12 +14,14 @@ ROWS = 48
 FEWEST_VOTES, LEAST_MAJORITY = 20, 0.5
 """Fewest rays that must meet a part, and their majority by which it is turned, as a share: thin things, such as a
 leaf's two sides, are seen from both."""
+FEWEST_BACKS = 0.005
+"""Share of all rays that meet a back, up to which there is nothing to turn."""
 
 
 def turned_away(caster: RayCaster, cameras: Sequence[Camera]) -> Bool[np.ndarray, "m"]:
     """Triangles of the parts of a mesh whose back is what cameras see.
 
-    A part is what hangs together with one winding, so that triangles which no ray meets follow the others.
+    A part is what hangs together with one winding: its triangles that no ray meets follow the others.
 
     Args:
         cameras: of the frames, some of them.
@@ -35,9 +37,11 @@ def turned_away(caster: RayCaster, cameras: Sequence[Camera]) -> Bool[np.ndarray
         away = np.einsum("nk,nk->n", normals[hits.face[met]], rays[met]) > 0
         backs += np.bincount(hits.face[met[away]], minlength=len(faces))
         fronts += np.bincount(hits.face[met[~away]], minlength=len(faces))
-    if not backs.any():
-        return backs > 0
-    parts = _parts(faces, len(caster.arrays.vertices))
+    if backs.sum() <= FEWEST_BACKS * (fronts.sum() + backs.sum()):
+        return np.zeros(len(faces), bool)
+    # By place: a textured mesh has a vertex for each of its charts there.
+    place = np.unique(caster.arrays.vertices, axis=0, return_inverse=True)[1].reshape(-1)
+    parts = _parts(place[faces], len(place))
     front, back = (np.bincount(parts, votes) for votes in (fronts, backs))
     turned = (front + back >= FEWEST_VOTES) & (back - front > LEAST_MAJORITY * (front + back))
     chosen: np.ndarray = turned[parts]
@@ -45,8 +49,10 @@ def turned_away(caster: RayCaster, cameras: Sequence[Camera]) -> Bool[np.ndarray
 
 
 def turned(mesh: MeshArrays, chosen: Bool[np.ndarray, "m"]) -> MeshArrays:
-    """Mesh with some triangles wound the other way."""
-    return MeshArrays(mesh.vertices, np.where(chosen[:, None], mesh.faces[:, [0, 2, 1]], mesh.faces))
+    """Mesh with some triangles wound the other way, and its normals on the side of the winding."""
+    made = MeshArrays(mesh.vertices, np.where(chosen[:, None], mesh.faces[:, [0, 2, 1]], mesh.faces))
+    away = np.einsum("nk,nk->n", made.vertex_normals, mesh.vertex_normals) < 0
+    return MeshArrays(made.vertices, made.faces, np.where(away[:, None], -1.0, 1.0) * mesh.vertex_normals)
 
 
 def _parts(faces: Int[np.ndarray, "m 3"], count: int) -> Int[np.ndarray, "m"]:

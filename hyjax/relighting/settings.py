@@ -128,7 +128,7 @@ class RelightSettings(Settings):
         if self.schedule is not None or self.kappa is not None:
             chosen = dataclasses.replace(chosen, schedule=self.open_schedule())
         values: dict[str, Any] = dict(named_values(self.choices))
-        if "mode" in values:
+        if values.get("mode") == "paper":
             raise InputError("choices: for the paper's form give --paper-mode or --configuration paper, not mode")
         if self.sampling is not None:
             values["sampling"] = self.sampling

@@ -200,16 +200,17 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
                 if str(error) not in doubts:  # a picture with its depth may be one file
                     doubts.append(str(error))
         depth = np.concatenate([np.zeros(0), *(one.ravel() for one in depths)])
-        depth = depth[np.isfinite(depth) & (depth > NEAR_LIMIT)]
+        positive = depth[np.isfinite(depth) & (depth > 0)]
+        if len(positive) and not USUAL_DEPTH[0] < (median := float(np.median(positive))) < USUAL_DEPTH[1]:
+            doubts.append(f"the median depth is {median:.2g} m; is the unit of the depth maps right?")
+        depth = positive[positive > NEAR_LIMIT]
         if len(depth):
             depth_size = depths[0].shape[1], depths[0].shape[0]
             low, middle, high = (float(q) for q in np.quantile(depth, (0.01, 0.5, 0.99)))
             quantiles = low, middle, high
             coverage = coverage_of(capture, mesh)
-        else:
+        elif not len(positive):
             doubts.append("the depth maps have no readings")
-    if quantiles is not None and not USUAL_DEPTH[0] < quantiles[1] < USUAL_DEPTH[1]:
-        doubts.append(f"the median depth is {quantiles[1]:.2g} m; is the unit of the depth maps right?")
     doubts += _doubts(capture, positions, mesh, coverage)
     seconds = max(times) - min(times) if capture.times_known else 0.0
     return Inspection(

@@ -101,7 +101,7 @@ def surface_arrays(
         check_mesh_name(mesh)
         from hyjax.geometry.mesh import load_mesh
 
-        return _judged(capture, mesh, _usable(load_mesh(Path(mesh), repair), mesh, capture))
+        return _judged(capture, mesh, _facing(_in_metres(load_mesh(Path(mesh), repair), mesh), mesh, capture))
     if mesh == "true":
         true = capture.reference()
         if true is None:
@@ -126,7 +126,7 @@ def will_fuse(capture: Capture, mesh: str | None, fusion: FusionSettings) -> boo
     if mesh is not None or not capture.has_mesh:
         return mesh in (None, "fused")
     try:
-        return _coverage(capture, _captured(capture)[1], fusion).covered < ENOUGH_COVERAGE
+        return _coverage(capture, _captured(capture, facing=False)[1], fusion).covered < ENOUGH_COVERAGE
     except InputError:
         return True
 
@@ -137,11 +137,13 @@ def _coverage(capture: Capture, mesh: MeshArrays, fusion: FusionSettings = SENSO
     return coverage_of(capture, mesh, fusion.confidence)
 
 
-def _captured(capture: Capture) -> tuple[str, MeshArrays]:
+def _captured(capture: Capture, *, facing: bool = True) -> tuple[str, MeshArrays]:
     mesh, file = capture.mesh(), capture.mesh_file
     assert mesh is not None
     description = "captured mesh" if file is None else f"captured mesh {file.name}"
-    return description, _usable(mesh, str(file or capture.name), capture)
+    where = str(file or capture.name)
+    arrays = _in_metres(mesh, where)
+    return description, _facing(arrays, where, capture) if facing else arrays
 
 
 def _fused(capture: Capture, fusion: FusionSettings, progress: bool) -> tuple[str, MeshArrays]:
@@ -211,22 +213,24 @@ def kept(description: str, capture: Capture, make: "Callable[[], trimesh.Trimesh
     return cached_arrays(file, MeshArrays.stored, lambda: MeshArrays.of(make()).to_store())
 
 
-def _usable(mesh: "trimesh.Trimesh", where: str, capture: Capture) -> MeshArrays:
-    """Mesh of somebody else, in metres and with its front to the cameras."""
+def _in_metres(mesh: "trimesh.Trimesh", where: str) -> MeshArrays:
+    if not 0.1 < max(mesh.extents) < 1000:
+        raise InputError(f"{where}: spans {max(mesh.extents):.3g} m; a room's mesh must be in metres")
+    return MeshArrays.of(mesh)
+
+
+def _facing(mesh: MeshArrays, where: str, capture: Capture) -> MeshArrays:
+    """Mesh of somebody else with its front to the cameras."""
     from hyjax.geometry.raycast import RayCaster
     from hyjax.geometry.winding import turned, turned_away
 
-    if not 0.1 < max(mesh.extents) < 1000:
-        raise InputError(f"{where}: spans {max(mesh.extents):.3g} m; a room's mesh must be in metres")
-    arrays = MeshArrays.of(mesh)
     cameras = [capture.camera(index) for index in spread(range(len(capture)), WINDING_CAMERAS)]
-    away = turned_away(RayCaster(arrays), cameras)
+    away = turned_away(RayCaster(mesh), cameras)
     if not away.any():
-        return arrays
-    _log.warning(
-        "%s: %.2g %% of the triangles show the cameras their back; they are turned", where, 100 * away.mean()
-    )
-    return turned(arrays, away)
+        return mesh
+    said = "%s: parts of it show the cameras their back, %.3g %% of the triangles; they are turned"
+    _log.warning(said, where, 100 * away.mean())
+    return turned(mesh, away)
 
 
 def check_surface(fusion: FusionSettings, seed: int) -> None:

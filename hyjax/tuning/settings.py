@@ -112,7 +112,8 @@ class FrameOptions(Settings):
 
         values = named_values(self.choices)
         for name in values:
-            if choice_named(name).tried is None or choice_named(name).part in CASCADES:
+            # The cascades limit the sampling.
+            if choice_named(name).tried is None or choice_named(name).part in CASCADES or name == "sampling":
                 raise InputError(f"choices: {name} cannot be held; leave it out")
         own = Configuration().with_choices(values)
         if "guide" in values:

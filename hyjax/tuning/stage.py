@@ -181,12 +181,16 @@ class FrameStage(Stage):
 
     def references(self) -> list[Configuration]:
         paper = [Configuration.paper()] if self.settings.frame.paper_form else []
-        return [self.base, *map(self._holding, map(Configuration.preset, PRESETS)), *paper]
+        known = [self.base, *map(Configuration.preset, PRESETS)]
+        held = [own for own in map(self._holding, known) if own != self.base]
+        return [self.base, *held, *paper]
 
-    def _holding(self, preset: Configuration) -> Configuration:
-        """A preset with the choices that are held."""
-        own = preset.with_choices(self.settings.frame.held)
-        return preset if own == preset else dataclasses.replace(own, name=f"{preset.name}-held")
+    def _holding(self, known: Configuration) -> Configuration:
+        """A configuration that comes with hyjax, with the choices that are held, as the renderer follows it."""
+        own, renderer = known.with_choices(self.settings.frame.held), self.settings.renderer
+        own = own if renderer is None else own.followed_by(renderer, say=False)
+        same = dataclasses.replace(own, name=known.name) == known
+        return known if same else dataclasses.replace(own, name=f"{known.name}-held")
 
     def evaluator(self, space: Space, study: Study, expired: Callable[[], bool]) -> StudyEvaluator:
         seed = self.settings.scene.seed
@@ -280,6 +284,7 @@ def check_reachable(budgets: Sequence[Budget], base: FrameTime, space: Space, cl
         f"budget {least.milliseconds:.3g} ms: out of reach on this device; the fastest that was found takes "
         f"{time.judged:.2f} ms (p95; scale {configuration.scale}, cascade {steps}, no shadow pass), the "
         f"default {base.judged:.2f}; give at least --budget-ms {1.1 * time.judged:.3g}, or a smaller --size"
+        f"{', or --choices light_edges=false' * configuration.light.edges}"
     )
 
 

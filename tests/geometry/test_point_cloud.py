@@ -93,6 +93,8 @@ def test_points_that_come_twice_count_once() -> None:
     points = grid(30, 0.02)
     once, often = (disc_mesh(p, progress=False).area for p in (points, np.tile(points, (7, 1))))
     assert often == pytest.approx(once, rel=1e-3)
+    with pytest.raises(InputError, match="9 points make no surface"):
+        disc_mesh(np.tile(grid(3, 0.02), (20, 1)), progress=False)
 
 
 def test_a_sphere_thinned() -> None:

@@ -36,13 +36,21 @@ def test_parts_that_show_their_back_are_turned(which: str) -> None:
     np.testing.assert_allclose(turned(made, found).face_normals, right.face_normals, atol=1e-9)
 
 
-def test_triangles_alone_are_judged_alone() -> None:
-    """A mesh whose triangles have no vertex in common has as many parts; those that few rays meet stay."""
+def test_vertices_at_one_place_are_one() -> None:
+    """A mesh whose triangles have vertices of their own hangs together all the same."""
     right = room()
     apart = MeshArrays(right.vertices[right.faces].reshape(-1, 3), np.arange(3 * len(right.faces)).reshape(-1, 3))
     assert not turned_away(RayCaster(apart), cameras()).any()
-    found = turned_away(RayCaster(turned(apart, np.ones(len(apart.faces), bool))), cameras())
-    assert found.mean() > 0.5
+    wrong = turned(apart, np.ones(len(apart.faces), bool))
+    assert turned_away(RayCaster(wrong), cameras()).all()
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_normals_of_a_file_are_kept_on_the_side_of_the_winding(side: float) -> None:
+    right = room()
+    smooth = side * (right.vertex_normals + 0.1) / np.linalg.norm(right.vertex_normals + 0.1, axis=1, keepdims=True)
+    made = turned(MeshArrays(right.vertices, right.faces, smooth), np.ones(len(right.faces), bool))
+    np.testing.assert_allclose(made.vertex_normals, -side * smooth, atol=1e-9)
 
 
 def test_a_sheet_that_is_seen_from_both_sides_stays() -> None:

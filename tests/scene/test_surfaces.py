@@ -210,6 +210,24 @@ def test_a_file_is_taken_as_it_is(cache: Path, tmp_path: Path) -> None:
     assert not cache.exists()
 
 
+@pytest.mark.parametrize("wrong", [False, True])
+def test_a_mesh_is_turned_to_the_cameras(
+    cache: Path, tmp_path: Path, wrong: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    room = trimesh.creation.box((8.0, 8.0, 8.0)).subdivide()
+    if not wrong:
+        room.invert()
+    save_mesh(tmp_path / "room.ply", room)
+    mesh = get(Wall(depth=False), str(tmp_path / "room.ply"))
+    inward = -np.einsum("nk,nk->n", mesh.face_normals, mesh.triangles_center)
+    assert (inward > 0).all()
+    told = [r.getMessage() for r in caplog.records]
+    said = (
+        f"{tmp_path / 'room.ply'}: parts of it show the cameras their back, 100 % of the triangles; they are turned"
+    )
+    assert told == wrong * [said]
+
+
 def test_a_word_that_is_no_file_is_told_the_words() -> None:
     with pytest.raises(InputError, match=r"(?=.*scan)(?=.*fused)(?=.*true)"):
         get(Wall(), "fuse")

@@ -336,9 +336,9 @@ class Remembered:
         return compute()
 
 
-@pytest.mark.parametrize(("milliseconds", "edges"), [(20.0, True), (10.5, True), (6.0, False)])
+@pytest.mark.parametrize(("milliseconds", "usual"), [(20.0, True), (10.5, True), (6.0, False)])
 def test_what_no_true_picture_judges_is_a_quick_presets_for_less_than_the_defaults_time(
-    scene: TuningScene, milliseconds: float, edges: bool, monkeypatch: pytest.MonkeyPatch
+    scene: TuningScene, milliseconds: float, usual: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(FrameClock, "times", steady_times)
     settings = TuneSettings(budget_ms=(milliseconds, 1.0), quiet=True)
@@ -346,26 +346,42 @@ def test_what_no_true_picture_judges_is_a_quick_presets_for_less_than_the_defaul
     stage = FrameStage(bench, settings)
     stage.base_time(Remembered())  # type: ignore[arg-type]
     balanced, own = Configuration.preset("balanced"), stage.space.configuration(stage.space.default)
-    assert Configuration().light.edges and not balanced.light.edges
-    assert own.light == (Configuration() if edges else balanced).light
+    assert Configuration().light != balanced.light and balanced.light.edges
+    assert own.light == (Configuration() if usual else balanced).light
     assert own.schedule.levels == Configuration().schedule.levels, "what is searched starts from the default"
     (again,) = stage.starts([0.5])[1:2]
-    assert stage.space.configuration(again).light == (own.light if edges else balanced.light)
-    assert stage.record()["not searched, as in"] == ("default" if edges else "balanced")
+    assert stage.space.configuration(again).light == (own.light if usual else balanced.light)
+    assert stage.record()["not searched, as in"] == ("default" if usual else "balanced")
 
-    def times_with_edges(_: FrameClock, several: Sequence[Configuration], repeats: int) -> list[FrameTime]:
-        """A step at level 4 costs a hundredth of the default's time, light edges a fifth."""
+    def times_of_light(_: FrameClock, several: Sequence[Configuration], repeats: int) -> list[FrameTime]:
+        """A step at level 4 costs a hundredth of the default's time; another light than its own, a fifth less."""
         ratios = [
-            (0.8 if c.light.photo_light == "divided" and not c.light.edges else 1.0)
+            (0.8 if c.light != Configuration().light else 1.0)
             + 0.01 * (c.schedule.levels[-1].steps - Configuration().schedule.levels[-1].steps)
             for c in several
         ]
         return [FrameTime(9.0 * ratio, 10.0 * ratio, 9.0, ratio) for ratio in ratios]
 
-    monkeypatch.setattr(FrameClock, "times", times_with_edges)
+    monkeypatch.setattr(FrameClock, "times", times_of_light)
     evaluator = stage.evaluator(stage.space, Remembered(), lambda: False)  # type: ignore[arg-type]
-    assert evaluator.time(stage.space.default) == (1.0 if edges else 0.8)
+    assert evaluator.time(stage.space.default) == (1.0 if usual else 0.8)
     assert evaluator._price()[4] == pytest.approx(0.01), "of a step, whatever the light costs"
+
+
+@pytest.mark.parametrize(
+    ("change", "choices"),
+    [({"renderer": "tour"}, ()), ({"renderer": "page"}, ()), ({}, ("light_edges=false", "scale=2")), ({}, ())],
+)
+def test_whatever_may_be_the_answer_is_followed(scene: TuningScene, change: dict, choices: tuple[str, ...]) -> None:
+    """The default and the presets too, with what is held and as the renderer has them."""
+    settings = TuneSettings(budget_ms=(9.0,), quiet=True, frame=FrameOptions(choices=choices), **change).check()
+    stage = FrameStage(FrameBench([scene], [(0, "two-colors", 0)], [], "two-colors"), settings)
+    base, *others = stage.references()
+    assert base is stage.base and all(map(stage.is_followed, others))
+    plain = not (change or choices)
+    assert [c.name for c in others] == ["quality", "balanced", "fast"] if plain else len(others) == 4
+    for own in others:
+        assert all(own.value(name) == value for name, value in settings.frame.held.items())
 
 
 @pytest.mark.parametrize("lights", ["golden-hour", "evening-lamps"])
@@ -405,6 +421,7 @@ def test_a_search_on_a_capture_takes_five_minutes_unless_more_is_asked_for() -> 
         ({"frame": FrameOptions(choices=("cascade=8:4",))}, "choices: cascade cannot be held"),
         ({"frame": FrameOptions(choices=("scale=2", "scale=3"))}, "choices: scale is given twice"),
         ({"frame": FrameOptions(choices=("guide=nothere",))}, "guide: nothere"),
+        ({"frame": FrameOptions(choices=("sampling=4",))}, "choices: sampling cannot be held"),
         ({"frame": FrameOptions(choices=("mode=paper",))}, "choices: mode cannot be held"),
         ({"frame": FrameOptions(choices=("scale=2",)), "renderer": "page"}, "choices: scale 2 is not for exported"),
         ({"frame": FrameOptions(choices=("scale=2",)), "stage": "cascade"}, "choices: are of the whole frame"),
