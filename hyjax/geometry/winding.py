@@ -34,17 +34,17 @@ def turned_away(caster: RayCaster, cameras: Sequence[Camera]) -> Bool[np.ndarray
         rays = small.rays().reshape(-1, 3)
         hits = caster.cast(camera.origin, rays)
         met = np.flatnonzero(hits.hit)
-        away = np.einsum("nk,nk->n", normals[hits.face[met]], rays[met]) > 0
-        backs += np.bincount(hits.face[met[away]], minlength=len(faces))
-        fronts += np.bincount(hits.face[met[~away]], minlength=len(faces))
+        behind = np.einsum("nk,nk->n", normals[hits.face[met]], rays[met]) > 0
+        backs += np.bincount(hits.face[met[behind]], minlength=len(faces))
+        fronts += np.bincount(hits.face[met[~behind]], minlength=len(faces))
     if backs.sum() <= FEWEST_BACKS * (fronts.sum() + backs.sum()):
         return np.zeros(len(faces), bool)
     # By place: a textured mesh has a vertex for each of its charts there.
     place = np.unique(caster.arrays.vertices, axis=0, return_inverse=True)[1].reshape(-1)
     parts = _parts(place[faces], len(place))
     front, back = (np.bincount(parts, votes) for votes in (fronts, backs))
-    turned = (front + back >= FEWEST_VOTES) & (back - front > LEAST_MAJORITY * (front + back))
-    chosen: np.ndarray = turned[parts]
+    away: np.ndarray = (front + back >= FEWEST_VOTES) & (back - front > LEAST_MAJORITY * (front + back))
+    chosen: np.ndarray = away[parts]
     return chosen
 
 
