@@ -92,8 +92,7 @@ def main(config: Config, start: Start) -> None:
         results.add(kind="search", **told, left_out=time_errors(tuned.trials))
         shutil.copy(results.out / "search" / "contact_sheet.png", results.out / "contact_sheet.png")
     if config.presets:
-        held = settings_of(config, config.rooms, config.report, config.trials, results.out / "search").frame.held
-        write_presets(of_kind(results.rows, "candidate"), held)
+        write_presets(of_kind(results.rows, "candidate"), FrameOptions(choices=config.choices).held)
     if not of_kind(results.rows, "preset"):
         add_presets(results, config)
 

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.data.frames import spread
+from hyjax.geometry.camera import Camera
 from hyjax.geometry.coverage import Coverage
 from hyjax.geometry.depth_map import NEAR_LIMIT, READING_TOLERANCE
 from hyjax.scene.fusion import LEAST_OVERLAP, LOW_COVERAGE, Readings, coverage_of, plan_fusion
@@ -35,7 +36,7 @@ SHOWN_COUNT, SHOWN_LENGTH = 4, 480
 """Number of frames in the picture of an inspection, and the least longer side that they are kept at, in pixels."""
 USUAL_DEPTH = (0.1, 20.0)
 """Range of the median depth of a room, in metres."""
-UPSIDE_DOWN = -0.5
+UPSIDE_DOWN_COSINE = -0.5
 """Mean cosine between the pictures' upward direction and up, below which one of them is wrong."""
 LONGEST_STEP = 1.0
 """Largest distance, in metres, between neighbouring frames of a walk."""
@@ -184,7 +185,8 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
             exposures.append(frame.exposure)
     if not sizes:
         raise InputError(f"{capture.name}: none of the frames can be read; the first: {doubts[-len(samples)]}")
-    positions = np.array([capture.camera(index).origin for index in range(len(capture))])
+    cameras = [capture.camera(index) for index in range(len(capture))]
+    positions = np.array([camera.origin for camera in cameras])
     mesh = None
     try:
         mesh = capture.mesh()
@@ -211,7 +213,7 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
             coverage = coverage_of(capture, mesh)
         elif not len(positive):
             doubts.append("the depth maps have no readings")
-    doubts += _doubts(capture, positions, mesh, coverage)
+    doubts += _doubts(capture, cameras, mesh, coverage)
     seconds = max(times) - min(times) if capture.times_known else 0.0
     return Inspection(
         capture,
@@ -229,22 +231,21 @@ def inspect(capture: Capture, *, progress: bool = True) -> Inspection:
 
 
 def _doubts(
-    capture: Capture, positions: np.ndarray, mesh: trimesh.Trimesh | None, coverage: Coverage | None
+    capture: Capture, cameras: Sequence[Camera], mesh: trimesh.Trimesh | None, coverage: Coverage | None
 ) -> Iterator[str]:
-    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    steps = np.linalg.norm(np.diff([camera.origin for camera in cameras], axis=0), axis=1)
     if len(steps) and steps.max() > LONGEST_STEP:
         yield f"the camera jumps by {steps.max():.3g} m before frame {steps.argmax() + 1}"
     if len(steps) and steps.sum() < 0.05:
         yield "the camera hardly moves; a mesh of one view has holes behind everything"
-    lens = capture.camera(0).intrinsics
+    lens = cameras[0].intrinsics
     if not all(0.25 < c / side < 0.75 for c, side in ((lens.cx, lens.width), (lens.cy, lens.height))):
         yield (
-            f"the lens looks at ({lens.cx:.4g}, {lens.cy:.4g}) of pictures of {lens.width}x{lens.height}; are its "
-            "numbers of another size?"
+            f"the principal point lies at ({lens.cx:.4g}, {lens.cy:.4g}) in pictures of {lens.width}x{lens.height}"
+            "; are the intrinsics of another size?"
         )
-    heads = np.mean([-capture.camera(index).pose[:3, 1] @ capture.up for index in range(len(capture))])
-    if heads < UPSIDE_DOWN:
-        yield "the pictures stand on their heads, or up points down"
+    if np.mean([-camera.pose[:3, 1] @ capture.up for camera in cameras]) < UPSIDE_DOWN_COSINE:
+        yield "the pictures are upside down, or up points down"
     if not capture.metric:
         yield "the unit of length is not known; give --scale, metres in one unit"
     if mesh is None and not capture.depth_count:

@@ -105,8 +105,11 @@ def test_times_that_were_not_recorded_are_not_told() -> None:
         (Walk(depth=False), "neither depth nor a mesh; give one with --mesh FILE"),
         (Walk(unit=1000.0), "the median depth is 2e\\+03 m; is the unit of the depth maps right"),
         (Walk(unit=0.001), r"the median depth is 0\.002 m; is the unit of the depth maps right"),
-        (Walk(lens=Intrinsics(64, 48, 50.0, 50.0, 64.0, 48.0)), r"looks at \(64, 48\) of pictures of 64x48"),
-        (Walk(up=-UP), "stand on their heads"),
+        (
+            Walk(lens=Intrinsics(64, 48, 50.0, 50.0, 64.0, 48.0)),
+            r"principal point lies at \(64, 48\) in pictures of 64x48",
+        ),
+        (Walk(up=-UP), "the pictures are upside down, or up points down"),
     ],
 )
 def test_what_is_doubtful(capture: Walk, doubt: str) -> None:
