@@ -26,7 +26,7 @@ from hyjax.core.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.core.schedule import Schedule
 from hyjax.light.color import to_display
 from hyjax.light.light_edges import Weights, edge_correction, own_light, sharpened
-from hyjax.light.relit import Relit, compared, composite_display, ratio, relit_picture
+from hyjax.light.relit import Relit, compared, composite_display, filter_and_light, ratio, relit_picture
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
 from hyjax.light.upscaled import upscaled_picture, upscaled_stages
@@ -41,7 +41,7 @@ TemporalFilter = Callable[
 ]
 
 
-@checked_arguments(display=["full"])
+@checked_arguments
 def relight(
     view: View,
     shaded: Shaded,
@@ -51,13 +51,13 @@ def relight(
     shadow_schedule: Schedule | str | None = None,
     temporal_filter: TemporalFilter | None = None,
     mode: Mode = "linear",
-    full: Float[Array, "fh fw 3"] | None = None,
     light_edges: Weights | None = None,
 ) -> Relit:
     """Relit picture of one view.
 
     Args:
-        view: the camera's picture with the surface that it shows.
+        view: the camera's picture with the surface that it shows. If it has a full picture, the filter is brought
+            to that size, see `hyjax.light.upscaled`; not in mode `"paper"`.
         shaded: light on that surface, see `View.shade`.
         guide: features that say where light may flow; `view.display` is the "RGB guide".
         schedule: cascade for the shading, or a preset's name.
@@ -67,8 +67,6 @@ def relight(
             instead. See `hyjax.video`; not in mode `"paper"`.
         mode: `"linear"` multiplies linear light and treats pixels without surface as unknown; `"paper"` clips and
             display-encodes the filter, leaves holes black, trusts all else, and multiplies display values.
-        full: the frame at full size, display-encoded, where the view is at a whole part of it: the filter is
-            brought to that size, see `hyjax.light.upscaled`. Bytes are divided by 255. Not in mode `"paper"`.
         light_edges: weights of the network that sharpens the photo's own light, where `shaded` has it, see
             `hyjax.light.light_edges`; `from hyjax.guide.edge_weights import edge_weights` has those that come with
             hyjax, `edge_weights()`. None to leave it as it is. Not in mode `"paper"`.
@@ -98,13 +96,12 @@ def relight(
         shadow_schedule=shadow_schedule,
         temporal_filter=temporal_filter,
         mode=mode,
-        full=full,
         light_edges=light_edges,
     )
     return relit
 
 
-@checked_arguments(display=["full"])
+@checked_arguments
 def relight_stages(
     view: View,
     shaded: Shaded,
@@ -114,7 +111,6 @@ def relight_stages(
     shadow_schedule: Schedule | str | None = None,
     temporal_filter: TemporalFilter | None = None,
     mode: Mode = "linear",
-    full: Float[Array, "fh fw 3"] | None = None,
     light_edges: Weights | None = None,
     run: Run = call,
 ) -> Iterator[tuple[str, Any]]:
@@ -162,10 +158,9 @@ def relight_stages(
     if known is not None and not (np.asarray(known) > 0).any():
         left = "the relit frame is black" if mode == "paper" else "only ambient light is used"
         warnings.warn(f"relight: nothing of the frame is known; {left}", stacklevel=3)
-    factor = 1 if full is None else _factor(full.shape, size)
     if mode == "paper":
-        if factor > 1:
-            raise InputError("relight: mode 'paper' works at full size; leave `full` out")
+        if view.factor > 1:
+            raise InputError("relight: mode 'paper' works at full size; take a view without a full picture")
         yield from _paper_stages(view, shaded, guide, schedule, shadow_schedule, run)
         return
     cascade_call, shadow_call = cascade_calls(shaded, guide, schedule, shadow_schedule)
@@ -182,18 +177,19 @@ def relight_stages(
             illuminance, correction = run(sharpened, illuminance, correction), None
         illuminance, visibility = temporal_filter(illuminance, visibility)
         yield "temporal filter", (illuminance, visibility)
-    refined = view.frame, shaded, illuminance, visibility
-    relight_filter, image = run(relit_picture, *refined, correction)
-    if full is None or factor == 1:
+    refined = shaded, illuminance, visibility
+    if view.factor == 1:
+        relight_filter, image = run(relit_picture, view.frame, *refined, correction)
         yield "composite", image
-        yield "comparison", run(compared, *refined, relight_filter, image, correction)
+        yield "comparison", run(compared, view.frame, *refined, relight_filter, image, correction)
         return
+    refined, emission, kappa = (_surface_alone(shaded), *refined[1:]), shaded.emission, schedule.levels[-1].kappa
+    relight_filter, light = run(filter_and_light, *refined, correction)
     yield "relight filter", relight_filter
-    kappa = schedule.levels[-1].kappa
-    whole = run(upscaled_picture, full, view, relight_filter, image, shaded.emission, kappa, factor=factor)
-    yield "composite", whole
-    small = run(compared, *refined, relight_filter, image, correction)
-    yield "comparison", run(upscaled_stages, small, full, view, whole, kappa, factor=factor)
+    whole = run(upscaled_picture, view, relight_filter, light, emission, kappa)
+    yield "composite", whole[1]
+    small = run(compared, view.frame, *refined, relight_filter, view.frame, correction)
+    yield "comparison", run(upscaled_stages, small, view, light, emission, whole, kappa)
 
 
 def cascade_calls(
@@ -214,14 +210,6 @@ def _surface_alone(shaded: Shaded) -> Shaded:
 def _lights_alone(shaded: Shaded) -> Shaded:
     """Light of the lights alone, whose visibility is refined."""
     return dataclasses.replace(shaded, bounced=None, photo_light=None, emission=None, refined_photo_light=None)
-
-
-def _factor(full: tuple[int, ...], size: tuple[int, ...]) -> int:
-    """Size of the frame over that of the view, the smallest that fits."""
-    factor = max(1, *(-(-whole // part) for whole, part in zip(full, size)))
-    if level_shape((full[0], full[1]), factor) != size:
-        raise InputError(f"relight: the view, {size}, must be the frame, {full[:2]}, at a whole part of its size")
-    return factor
 
 
 def default_shadow_schedule(mode: Mode) -> Schedule:

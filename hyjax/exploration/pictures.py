@@ -83,11 +83,11 @@ class Pictures:
 
     def __init__(self, scene: Scene, superseded: Callable[[], bool] = lambda: False) -> None:
         self.scene, self.fills, self._superseded = scene, False, superseded
-        self._views: dict[tuple[int, int, str], View] = {}
+        self._views: dict[tuple[int, int, str, bool], View] = {}
         self._relighters: list[tuple[Lights, Any, DraftRelighter]] = []
         self._whole: tuple[Any, Lights, LightSetup, SurfaceLight] | None = None  # choices, lights, placed, surface
         self._ends: dict[tuple[str, tuple[int, ...]], tuple[int, ...]] = {}
-        self._frames: list[tuple[Relighter, int, LitFrame]] = []
+        self._frames: list[tuple[Relighter, int, bool, LitFrame]] = []
         self._run, self._run_draft = KeptStages(), KeptStages(draft=True)
 
     def relighter(
@@ -111,7 +111,7 @@ class Pictures:
         """Whether a frame under these lights is kept, so that its cascades alone are to be run."""
         key = light_key(configuration), id(None)
         known = [relighter for own, own_key, relighter in self._relighters if own_key == key and same(own, lights)]
-        return any(relighter in known and index == frame for relighter, index, _ in self._frames)
+        return any(relighter in known and index == frame for relighter, index, *_ in self._frames)
 
     def _brightened(
         self, frame: int, lights: LightSetup, configuration: Configuration, surface: Any
@@ -122,8 +122,9 @@ class Pictures:
         """
         key = light_key(configuration), id(surface)
         known = [relighter for _, own_key, relighter in self._relighters if own_key == key]
-        for relighter, index, lit in reversed(self._frames):
-            factors = _factors(relighter.setup, lights) if relighter in known and index == frame else None
+        for relighter, index, small, lit in reversed(self._frames):
+            kept = small and relighter in known and index == frame
+            factors = _factors(relighter.setup, lights) if kept else None
             if factors is not None:
                 colors = np.asarray(lit.shaded.colors)
                 direct = direct_channels(lights.lights, len(colors) < len(factors))
@@ -138,24 +139,31 @@ class Pictures:
         configuration: Configuration,
         clock: StageClock,
         surface: SurfaceLight | None = None,
+        *,
+        small: bool = False,
     ) -> LitFrame:
-        """Frame under lights, ready to be refined; arguments as of `relighter`."""
+        """Frame under lights, ready to be refined; arguments as of `relighter`.
+
+        Args:
+            small: whether its picture is to be of the configuration's scale, too.
+        """
         with clock("lights"):
             relighter = self.relighter(lights, configuration, surface)
-        for place, (own, index, lit) in enumerate(self._frames):
-            if own is relighter and index == frame:
+        for place, (own, index, kept_small, lit) in enumerate(self._frames):
+            if own is relighter and (index, kept_small) == (frame, small):
                 self._frames.append(self._frames.pop(place))
                 return lit
-        size = frame, configuration.scale, configuration.mode
+        size = frame, configuration.scale, configuration.mode, small
         if size not in self._views:
             with clock("g-buffer"):
                 opened = self.scene.frame(frame)
                 gbuffer = relighter.gbuffer(opened.camera, rays=True)  # as of a single picture
             until_view = self._followed(relighter.stages(opened, gbuffer=gbuffer))
             self._views = {k: v for k, v in self._views.items() if k[0] == frame}
-            self._views[size] = clock.follow(until_view, until="view")
+            view = clock.follow(until_view, until="view")
+            self._views[size] = dataclasses.replace(view, full=None) if small else view
         lit = clock.follow(self._followed(relighter.stages(frame, view=self._views[size])), until="guide")
-        self._frames = [*self._frames, (relighter, frame, lit)][-KEPT_FRAMES:]
+        self._frames = [*self._frames, (relighter, frame, small, lit)][-KEPT_FRAMES:]
         return lit
 
     def relit(
@@ -194,7 +202,7 @@ class Pictures:
                 surface = found
         small = draft_of(self._as_run(configuration), bounces=not moved)
         lit = self._brightened(frame, lights, small, surface) if isinstance(lights, LightSetup) else None
-        lit = dataclasses.replace(lit or self.lit(frame, lights, small, clock, surface), full=None)
+        lit = lit or self.lit(frame, lights, small, clock, surface, small=True)
         stages = refine(lit, small, run=self._run_draft)
         picture: Float[Array, "h w 3"] = clock.follow(stages, until="composite")
         return picture

@@ -5,6 +5,7 @@ noon and dark at night, patterned as the photo's was; a lamp that is off is whit
 """
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import jax
@@ -13,6 +14,8 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from hyjax.core.finite import finite_or_zero
+from hyjax.core.upsampling import guided_upsample
+from hyjax.light.color import to_linear
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.panes import PANE_SLACK, Bars, lit_degree, pane_shares, pixel_rays, ramp
@@ -36,6 +39,8 @@ RIM_WIDTH = 640
 """Width of a picture, in pixels, for each pixel of a lamp's rim."""
 BORDER_WIDTH = 0.05
 """Width, in metres, of the soft border around a source."""
+SURFACE_KAPPA = 0.05
+"""κ by which a surface is brought to the size of a picture, in display values."""
 
 
 @jax.tree_util.register_dataclass
@@ -170,6 +175,36 @@ def emission(
     """Pixels of a view that emit, see `source_pixels`."""
     frame = finite_or_zero(frame)
     return shine(emitters, source_pixels(emitters, frame, gbuffer, pose, intrinsics), frame)
+
+
+@functools.partial(jax.jit, static_argnames="factor")
+def upscaled_emission(
+    emitters: Emitters,
+    full: Float[Array, "fh fw 3"],
+    display: Float[Array, "h w 3"],
+    gbuffer: GBuffer,
+    pose: Float[Array, "4 4"],
+    intrinsics: Float[Array, "3 3"],
+    *,
+    factor: int,
+) -> Emission:
+    """Pixels that emit of a picture `factor` times larger than its G-buffer.
+
+    Borders of sources are drawn at the picture's size; what stands before them is brought there under the picture.
+
+    Args:
+        full: the picture, display-encoded.
+        display: the same at the G-buffer's size.
+        intrinsics: calibration matrix at the G-buffer's size.
+    """
+    nearness = jnp.where(gbuffer.hit, 1.0 / jnp.where(gbuffer.hit, gbuffer.depth, 1.0), 0.0)
+    seen = jnp.stack([gbuffer.hit.astype(nearness.dtype), nearness], axis=-1)
+    hit, nearness = jnp.moveaxis(guided_upsample(seen, factor, full, SURFACE_KAPPA, coarse=display), -1, 0)
+    surface = hit > 0.5
+    depth = jnp.where(surface, hit / jnp.where(surface, nearness, 1.0), 0.0)
+    none = jnp.zeros((*depth.shape, 3))
+    matrix = intrinsics * jnp.array([[factor], [factor], [1.0]])
+    return emission(emitters, to_linear(full), GBuffer(none, none, depth, surface), pose, matrix)
 
 
 @jax.jit

@@ -53,11 +53,32 @@ def relit_picture(
         illuminance, visibility: refined.
         correction: of the photo's own light, see `hyjax.light.light_edges.edge_correction`.
     """
-    frame = finite_or_zero(frame)
+    relight_filter, light = filter_and_light(shaded, illuminance, visibility, correction)
+    return finished(frame, relight_filter, light, shaded.emission)
+
+
+@jax.jit
+def filter_and_light(
+    shaded: Shaded,
+    illuminance: Float[Array, "h w c"],
+    visibility: Float[Array, "h w l"],
+    correction: Float[Array, "h w 1"] | None = None,
+) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
+    """Relight filter without emission, and the new light over the reference; arguments as of `relit_picture`."""
     direct, fields = _split(illuminance, shaded, correction)
     light = _light(direct * visibility, shaded, fields)
-    relight_filter = _or_ambient(_divide(light, shaded, fields, shaded.emission), shaded)
-    return relight_filter, _with_emission(composite(relight_filter, frame), light, shaded)
+    return _or_ambient(_divide(light, shaded, fields), shaded), _or_ambient(light, shaded)
+
+
+def finished(
+    frame: Float[Array, "h w 3"],
+    relight_filter: Float[Array, "h w 3"],
+    light: Float[Array, "h w 3"],
+    emission: Emission | None,
+) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
+    """Relight filter and relit picture with emission, from the results of `filter_and_light`."""
+    relight_filter = framed(relight_filter, light, emission)
+    return relight_filter, with_emission(composite(relight_filter, finite_or_zero(frame)), light, emission)
 
 
 @jax.jit
@@ -78,9 +99,10 @@ def compared(
     )
     raw, raw_shadowed = (_repeated(sample, shaded.sampling, frame.shape) for sample in samples)
     direct, fields = _split(illuminance, shaded, correction)
-    refined = _or_ambient(_divide(_light(direct, shaded, fields), shaded, fields, shaded.emission), shaded)
+    light, shadowed = (_light(channels, shaded, fields) for channels in (direct, direct * visibility))
+    refined = framed(_or_ambient(_divide(light, shaded, fields), shaded), light, shaded.emission)
     visible, unrefined = ratio(relight_filter, refined), composite(raw_shadowed, frame)
-    unrefined = _with_emission(unrefined, _light(direct * visibility, shaded, fields), shaded)
+    unrefined = with_emission(unrefined, shadowed, shaded.emission)
     return Relit(raw, refined, visible, relight_filter, unrefined, image)
 
 
@@ -100,14 +122,22 @@ def _or_ambient(relight_filter: Float[Array, "h w 3"], shaded: Shaded) -> Float[
     return jnp.where(jnp.any(shaded.confidence > 0), relight_filter, shaded.ambient)
 
 
-def _with_emission(
-    picture: Float[Array, "h w 3"], light: Float[Array, "h w 3"], shaded: Shaded
+def framed(
+    relight_filter: Float[Array, "h w 3"], light: Float[Array, "h w 3"], emission: Emission | None
+) -> Float[Array, "h w 3"]:
+    """Filter, smaller on frames of windows, which had more light in the photo than what is beside them."""
+    if emission is None:
+        return relight_filter
+    return jnp.minimum(relight_filter, light / jnp.maximum(emission.frame_light, LEAST_PHOTO_LIGHT))
+
+
+def with_emission(
+    picture: Float[Array, "h w 3"], light: Float[Array, "h w 3"], emission: Emission | None
 ) -> Float[Array, "h w 3"]:
     """Picture with its emitting pixels, which also reflect light."""
-    source = shaded.emission
-    if source is None:
+    if emission is None:
         return picture
-    return picture + source.weight * (source.sent + source.reflectance * light - picture)
+    return picture + emission.weight * (emission.sent + emission.reflectance * light - picture)
 
 
 def _repeated(samples: Float[Array, "sh sw 3"], sampling: int, shape: tuple[int, ...]) -> Float[Array, "h w 3"]:
@@ -125,16 +155,10 @@ def _light(
 
 
 def _divide(
-    light: Float[Array, "h w 3"],
-    shaded: Shaded,
-    fields: Sequence[Float[Array, "h w 3"]],
-    emission: Emission | None = None,
+    light: Float[Array, "h w 3"], shaded: Shaded, fields: Sequence[Float[Array, "h w 3"]]
 ) -> Float[Array, "h w 3"]:
-    """Relight filter: new light over the light of the photo, which is more on frames of windows, see `Emission`."""
-    if shaded.photo_light is None:
-        return light
-    old = jnp.maximum(fields[-1], LEAST_PHOTO_LIGHT)
-    return light / (old if emission is None else jnp.maximum(old, emission.frame_light))
+    """Relight filter: new light over the light of the photo."""
+    return light if shaded.photo_light is None else light / jnp.maximum(fields[-1], LEAST_PHOTO_LIGHT)
 
 
 @jax.jit

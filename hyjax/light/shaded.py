@@ -30,9 +30,9 @@ class Shaded:
         ambient: relight filter where nothing of the frame is known.
         bounced: lux of the lights by way of other surfaces, with their colours; None for none.
         photo_light: illuminance of the photographed frame, relative to its mean; None if assumed even.
-        emission: emitting pixels; None if there are none.
+        emission: emitting pixels, of the full picture where the view is smaller; None if there are none.
         refined_photo_light: `photo_light` of all pixels refined before; None to refine it with the rest.
-        sampling: the light is that of one pixel in each block of so many by so many (static); emission is whole.
+        sampling: the light is that of one pixel in each block of so many by so many (static); not emission.
     """
 
     illuminance: Float[Array, "h w l"]

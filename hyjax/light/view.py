@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from hyjax.core.pyramid import level_shape
 from hyjax.light.color import to_linear
-from hyjax.light.emission import emission, may_show
+from hyjax.light.emission import emission, may_show, upscaled_emission
 from hyjax.light.gbuffer import GBuffer, sample_pixels
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import SurfaceLight, add_surface_light
@@ -33,6 +34,7 @@ class View:
         gbuffer: surface points seen by the camera.
         pose: camera-to-world; None if nothing follows from frame to frame.
         intrinsics: calibration matrix in pixels; None likewise.
+        full: the picture at full size, display-encoded, where all else is at a whole part of it; None if it is not.
     """
 
     frame: Float[Array, "h w 3"]
@@ -40,9 +42,27 @@ class View:
     gbuffer: GBuffer
     pose: Float[ArrayLike, "4 4"] | None = None
     intrinsics: Float[ArrayLike, "3 3"] | None = None
+    full: Float[Array, "fh fw 3"] | None = None
+
+    @property
+    def factor(self) -> int:
+        """Size of the picture over that of the view.
+
+        Raises:
+            InputError: it is no whole number.
+        """
+        if self.full is None:
+            return 1
+        (height, width, _), size = self.full.shape, self.frame.shape[:2]
+        factor = max(1, -(-height // size[0]), -(-width // size[1]))
+        if level_shape((height, width), factor) != size:
+            raise InputError(
+                f"view: the picture, {size}, must be the full, {height, width}, at a whole part of its size"
+            )
+        return factor
 
     @classmethod
-    @checked_arguments(display=["display"])
+    @checked_arguments(display=["display", "full"])
     def of(
         cls,
         display: Float[Array, "h w 3"],
@@ -50,6 +70,7 @@ class View:
         *,
         pose: Float[ArrayLike, "4 4"] | None = None,
         intrinsics: Float[ArrayLike, "3 3"] | None = None,
+        full: Float[Array, "fh fw 3"] | None = None,
         run: Run = call,
     ) -> "View":
         """View from a display-encoded picture.
@@ -59,14 +80,18 @@ class View:
             gbuffer: surface points seen by the camera, of the picture's size.
             pose: camera-to-world.
             intrinsics: calibration matrix in pixels.
+            full: the picture at full size, likewise, where `display` is at a whole part of it: it is relit at full
+                size, see `hyjax.light.upscaled`.
             run: runs the function that makes it linear.
 
         Raises:
-            InputError: picture and G-buffer differ in size.
+            InputError: picture and G-buffer differ in size, or the full picture is no whole number of times larger.
         """
         if gbuffer.hit.shape != display.shape[:2]:
             raise InputError(f"view: display {display.shape[:2]} and gbuffer {gbuffer.hit.shape} differ in size")
-        return cls(run(to_linear, display), display, gbuffer, pose, intrinsics)
+        view = cls(run(to_linear, display), display, gbuffer, pose, intrinsics, full)
+        assert view.factor
+        return view
 
     @checked_arguments
     def shade(
@@ -163,5 +188,9 @@ class View:
         if not may_show(light.emitters, (h, w), self.pose, self.intrinsics):
             return shaded
         camera = jnp.asarray(self.pose, jnp.float32), jnp.asarray(self.intrinsics, jnp.float32)
-        emitting = run(emission, light.emitters, self.frame, self.gbuffer, *camera)
+        surface, factor = (self.gbuffer, *camera), self.factor
+        if self.full is None or factor == 1:
+            emitting = run(emission, light.emitters, self.frame, *surface)
+        else:
+            emitting = run(upscaled_emission, light.emitters, self.full, self.display, *surface, factor=factor)
         return dataclasses.replace(shaded, emission=emitting)

@@ -87,7 +87,12 @@ def view_of(frame: Frame, gbuffer: GBuffer) -> View:
     return camera_view(jax.device_put(frame.image), gbuffer, frame.camera)
 
 
-def camera_view(display: Float[Array, "h w 3"], gbuffer: GBuffer, camera: Camera) -> View:
-    """View of a display-encoded picture of a camera."""
+def camera_view(
+    display: Float[Array, "h w 3"],
+    gbuffer: GBuffer,
+    camera: Camera,
+    full: Float[Array, "fh fw 3"] | None = None,
+) -> View:
+    """View of a display-encoded picture of a camera, see `View.of`."""
     pose, intrinsics = (np.asarray(matrix, np.float32) for matrix in (camera.pose, camera.intrinsics.matrix))
-    return View.of(display, gbuffer, pose=pose, intrinsics=intrinsics, run=run_kept)
+    return View.of(display, gbuffer, pose=pose, intrinsics=intrinsics, full=full, run=run_kept)

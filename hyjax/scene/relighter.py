@@ -60,14 +60,12 @@ class LitFrame:
 
     Attributes:
         view: at the size that is worked at.
-        full: the frame at full size, where the view is smaller.
         light_edges: weights of the network that sharpens the photo's own light; None to leave it as it is.
     """
 
     view: View
     shaded: Shaded
     features: Float[Array, "h w f"]
-    full: Float[Array, "fh fw 3"] | None = None
     light_edges: Weights | None = None
 
 
@@ -87,7 +85,6 @@ def refine(
         shadow_schedule=configuration.shadow_schedule,
         temporal_filter=temporal_filter,
         mode=configuration.mode,
-        full=lit.full,
         light_edges=lit.light_edges,
         run=run,
     )
@@ -243,7 +240,6 @@ class Relighter:
                 yield "g-buffer", gbuffer
             view = self._view(opened, gbuffer)
             yield "view", view
-        full = self._on_device(jax.device_put(opened.image)) if self.scale(opened.camera) > 1 else None
         if self._shader is None:
             for stage, shaded in self._shade_stages(view):
                 yield stage, shaded
@@ -258,14 +254,14 @@ class Relighter:
         carried = self._carried
         features = make(view.display) if carried is None else carried.features(view, lambda: make(view.display))
         edges = configured_edges(self.configuration.light, self._light()[-1]) if self._divides else None
-        yield "guide", LitFrame(view, shaded, features, full, self._on_device(edges))
+        yield "guide", LitFrame(view, shaded, features, self._on_device(edges))
 
     def _view(self, frame: Frame, gbuffer: GBuffer) -> View:
         scale = self.scale(frame.camera)
         if scale == 1:
             return self._on_device(view_of(frame, gbuffer))
-        display = downsample(jax.device_put(frame.image), scale)
-        return self._on_device(camera_view(display, gbuffer, scaled(frame.camera, scale)))
+        full = jax.device_put(frame.image)
+        return self._on_device(camera_view(downsample(full, scale), gbuffer, scaled(frame.camera, scale), full))
 
     def _on_device(self, arrays: T) -> T:
         """Arrays on the device of this relighter, where it has one of its own."""

@@ -91,11 +91,11 @@ def padded(lit: LitFrame, most: int) -> LitFrame:
 
     Its picture is the same. Compiling a cascade for each number of lights would take longer than running it.
     """
-    shaded, view = lit.shaded, lit.view.frame
+    shaded, view = lit.shaded, lit.view
     more, emission = most - shaded.illuminance.shape[-1], shaded.emission
     beside = ((0, 0), (0, 0), (0, more))
     if emission is None and shaded.photo_light is not None:
-        none = jnp.zeros_like(view)
+        none = jnp.zeros_like(view.frame if view.full is None else view.full)
         emission = Emission(none[..., :1], none, none, none)
     shaded = dataclasses.replace(
         shaded,

@@ -14,7 +14,9 @@ from hyjax import GBuffer, InputError, Relit, Schedule, Shaded, View, relight, t
 from hyjax.core.pyramid import downsample, level_shape
 from hyjax.core.upsampling import guided_upsample
 from hyjax.light.compositing import composite
-from hyjax.light.emission import Emission
+from hyjax.light.emission import Emission, Emitters, upscaled_emission
+from hyjax.light.emission import emission as emission_of
+from hyjax.light.panes import Bars
 
 SCHEDULE = Schedule.uniform([(4, 3), (2, 3)], kappa=0.2)
 SHADOWS = Schedule.uniform([(2, 2)], kappa=0.2)
@@ -25,10 +27,11 @@ def frame_of(height: int, width: int, seed: int = 0) -> Float[Array, "h w 3"]:
     return jnp.asarray(np.random.default_rng(seed).uniform(0.1, 0.9, (height, width, 3)), jnp.float32)
 
 
-def view_of(display: Float[Array, "h w 3"]) -> View:
+def view_of(display: Float[Array, "h w 3"], full: Float[Array, "h w 3"] | None = None) -> View:
     shape = display.shape[:2]
     up = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), (*shape, 3))
-    return View.of(display, GBuffer(jnp.zeros((*shape, 3)), up, jnp.ones(shape), jnp.ones(shape, bool)))
+    gbuffer = GBuffer(jnp.zeros((*shape, 3)), up, jnp.ones(shape), jnp.ones(shape, bool))
+    return View.of(display, gbuffer, full=full)
 
 
 def shaded_of(shape: tuple[int, int], lux: Any = 150.0, **changes: Any) -> Shaded:
@@ -45,8 +48,8 @@ def shaded_of(shape: tuple[int, int], lux: Any = 150.0, **changes: Any) -> Shade
 
 
 def relit(shaded: Shaded, display: Float[Array, "h w 3"], factor: int, **options: Any) -> Relit:
-    view = view_of(downsample(display, factor))
-    return relight(view, shaded, view.display, SCHEDULE, shadow_schedule=SHADOWS, full=display, **options)
+    view = view_of(downsample(display, factor), display)
+    return relight(view, shaded, view.display, SCHEDULE, shadow_schedule=SHADOWS, **options)
 
 
 @pytest.mark.slow
@@ -82,28 +85,65 @@ def test_the_filter_is_interpolated_under_the_frame(seed: int) -> None:
     assert least - 1e-5 <= found.relight_filter.min() and found.relight_filter.max() <= most + 1e-5
 
 
-def test_what_shines_is_kept() -> None:
-    """A pane shows what it sends, not the frame: in the left half, away from its border."""
-    height, width, factor = 48, 64, 2
-    shape = level_shape((height, width), factor)
-    left = jnp.broadcast_to((jnp.arange(shape[1]) < shape[1] // 2)[None, :, None], (*shape, 1)).astype(jnp.float32)
-    sent = jnp.broadcast_to(jnp.array([2.0, 1.0, 0.5]), (*shape, 3))
-    emission = Emission(left, sent, *2 * [jnp.zeros((*shape, 3))])
+@pytest.mark.parametrize(("height", "width", "factor"), SIZES)
+def test_what_shines_is_drawn_at_full_size(height: int, width: int, factor: int) -> None:
+    """A pane shows what it sends and reflects, to the pixel; a bar is darker for its light in the photo."""
+    rng, shape = np.random.default_rng(factor), level_shape((height, width), factor)
+    weight, framed = (jnp.asarray(rng.random((height, width, 1)) < 0.3, jnp.float32) for _ in range(2))
+    sent, reflectance = (jnp.asarray(rng.random((height, width, 3)), jnp.float32) for _ in range(2))
+    emission = Emission(weight, sent, reflectance, 3.0 * (1.0 - weight) * framed * jnp.ones(3))
     display = frame_of(height, width)
-    dark, shining = (
-        relit(shaded_of(shape), display, factor),
-        relit(shaded_of(shape, emission=emission), display, factor),
+    found, plain = (
+        relit(shaded_of(shape, photo_light=jnp.ones((*shape, 3)), emission=own), display, factor)
+        for own in (emission, None)
     )
-    middle = width // 2
-    pane = shining.image[:, : middle - factor]
-    np.testing.assert_allclose(pane, jnp.broadcast_to(sent[0, 0], pane.shape), atol=1e-5)
-    np.testing.assert_allclose(shining.image[:, middle + factor :], dark.image[:, middle + factor :], atol=1e-5)
-    np.testing.assert_allclose(shining.relight_filter, dark.relight_filter, atol=1e-5)
+    light = 1.5 * jnp.array([1.0, 0.8, 0.5])
+    beside = jnp.where(emission.frame_light > 0, 1 / 3, 1.0) * light * to_linear(display)
+    expected = jnp.where(weight > 0, sent + reflectance * light, beside)
+    np.testing.assert_allclose(found.image, expected, rtol=1e-5, atol=1e-5)
+    untouched = (weight + framed)[..., 0] == 0
+    for field in dataclasses.fields(Relit):
+        one, other = getattr(found, field.name), getattr(plain, field.name)
+        np.testing.assert_allclose(one[untouched], other[untouched], atol=1e-5, err_msg=field.name)
+    np.testing.assert_allclose(found.refined * found.visibility, found.relight_filter, atol=1e-5)
+
+
+def test_a_source_has_the_border_of_a_picture_at_full_size() -> None:
+    """A lamp before a wall, drawn in a frame that is relit at a third of its size as in the whole one."""
+    height, width, factor = 60, 90, 3
+    emitters = Emitters(
+        jnp.zeros((0, 3, 3)),
+        Bars.none(0),
+        jnp.array([[0.1, 0.05, 2.0, 0.15]]),
+        jnp.array([[0.9, 0.8, 0.7]]),
+        jnp.zeros((1, 3)),
+        jnp.ones(3),
+        jnp.zeros((0, 3)),
+    )
+
+    def wall(shape: tuple[int, int]) -> GBuffer:
+        depth, none = jnp.full(shape, 2.5), jnp.zeros((*shape, 3))
+        return GBuffer(none, none, depth, jnp.ones(shape, bool))
+
+    full, pose = jnp.ones((height, width, 3)), jnp.eye(4)
+    matrix = np.array([[80.0, 0, 45], [0, 80, 30], [0, 0, 1]], np.float32)
+    display, small = downsample(full, factor), jnp.asarray(matrix / np.array([[factor], [factor], [1]]))
+    seen = level_shape((height, width), factor)
+    found = upscaled_emission(emitters, full, display, wall(seen), pose, small, factor=factor)
+    whole = emission_of(emitters, full, wall((height, width)), pose, jnp.asarray(matrix))
+    assert 20 < float(whole.weight.sum()) < 1000
+    for field in dataclasses.fields(Emission):
+        np.testing.assert_allclose(getattr(found, field.name), getattr(whole, field.name), atol=1e-5)
+    near = dataclasses.replace(wall(seen), depth=jnp.where(jnp.arange(seen[1]) < 16, 1.0, 2.5) * jnp.ones(seen))
+    bright = full.at[:, :48].set(0.9)  # what stands before the left of the lamp
+    hidden = upscaled_emission(emitters, bright, downsample(bright, factor), near, pose, small, factor=factor)
+    assert not hidden.weight[:, :48].any()
+    np.testing.assert_allclose(hidden.weight[:, 48:], whole.weight[:, 48:], atol=1e-5)
 
 
 def test_no_shining_pixel_is_none() -> None:
-    shape = (16, 20)
-    none = Emission(jnp.zeros((*shape, 1)), *2 * [jnp.ones((*shape, 3))], jnp.zeros((*shape, 3)))
+    shape, full = (16, 20), (32, 40)
+    none = Emission(jnp.zeros((*full, 1)), *2 * [jnp.ones((*full, 3))], jnp.zeros((*full, 3)))
     display = frame_of(32, 40)
     one, other = relit(shaded_of(shape, emission=none), display, 2), relit(shaded_of(shape), display, 2)
     np.testing.assert_allclose(one.image, other.image, atol=1e-6)
@@ -119,9 +159,8 @@ def test_narrow_frames_are_brought_to_their_size(size: tuple[int, int], factor: 
 
 @pytest.mark.parametrize("size", [(32, 41), (33, 40), (40, 32), (16, 40), (15, 20), (64, 81)])
 def test_sizes_that_do_not_fit_are_refused(size: tuple[int, int]) -> None:
-    view = view_of(frame_of(16, 20))
     with pytest.raises(InputError, match="at a whole part of its size"):
-        relight(view, shaded_of((16, 20)), view.display, SCHEDULE, shadow_schedule=SHADOWS, full=frame_of(*size))
+        view_of(frame_of(16, 20), frame_of(*size))
 
 
 def test_the_papers_form_works_at_full_size() -> None:
