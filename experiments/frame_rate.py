@@ -7,7 +7,7 @@ divided out, bounces, both cascades, the picture. Frames are read and brought to
 come round again and again, and nothing of a frame is kept for the next. As many frames are at work at a time as
 there are cores. *CPU* is time of all cores together, which other work on the machine changes less than the rate.
 
-- *Rate*: at 512 x 512, by sampling (see `RelightSettings.sampling`), on the scan and on finer meshes.
+- *Rate*: at 512 x 512, by sampling (the part of its size that a frame is relit at), on the scan and finer meshes.
 - *Size*: 256² to 2048². Time a pixel at the largest size over that at the smallest should not be above 1.5.
 - *Shaders* (`--shaders f32 f16`): the same frames by WebGPU, see `hyjax.device`: launches alone, many in a row, and
   with the picture's way to the device and back.

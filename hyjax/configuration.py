@@ -20,10 +20,11 @@ from hyjax.choices.options import (
     ShadowOptions,
     annotated,
     kinds,
+    value_of_schedule,
     wanted,
 )
-from hyjax.choices.table import CASCADES, CHOICES, NO_STEPS, choice_named
-from hyjax.core.cascade import largest_sampling
+from hyjax.choices.table import CASCADES, CHOICES, choice_named
+from hyjax.core.cascade import largest_sampling, sampled_schedule
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.pipeline import Mode
 from hyjax.util.arguments import checked_arguments
@@ -158,7 +159,7 @@ class Configuration:
         """
         choice = choice_named(name)
         if choice.part in CASCADES:
-            return _value_of_schedule(getattr(self, choice.part), choice.key)
+            return value_of_schedule(getattr(self, choice.part), choice.key)
         return getattr(getattr(self, choice.part) if choice.part else self, choice.key)
 
     def values(self) -> dict[str, Any]:
@@ -167,12 +168,26 @@ class Configuration:
         return {name: value for name, value in found.items() if CHOICES[name].active(found)}
 
     def scale_of(self, shape: tuple[int, int]) -> int:
-        """Factor by which a frame of that height and width is smaller when it is relit: not in the paper's form.
+        """Factor by which a frame of that height and width is smaller; by the sampling once more.
 
         >>> [Configuration().scale_of(shape) for shape in ((512, 512), (960, 1280), (1440, 1920))]
         [1, 2, 3]
         """
         return self.scale * (1 if self.mode == "paper" else max(1, math.isqrt(shape[0] * shape[1] // USUAL_PIXELS)))
+
+    def sampled(self) -> "Configuration":
+        """The configuration that frames are relit by: at their size over the sampling, each pixel with its light.
+
+        >>> own = Configuration().sampled()
+        >>> own.scale, own.light.sampling, [level.factor for level in own.schedule.levels]
+        (2, 1, [8, 4, 2])
+        """
+        sampling = self.light.sampling
+        if sampling == 1:
+            return self
+        cascades: dict[str, Any] = {part: sampled_schedule(getattr(self, part), sampling) for part in CASCADES}
+        light = self.light.replace(sampling=1)
+        return dataclasses.replace(self, scale=sampling * self.scale, light=light, **cascades)
 
     @checked_arguments
     def with_choices(self, values: Mapping[str, Any]) -> "Configuration":
@@ -318,25 +333,6 @@ def _schedule(content: dict[str, Any], part: str) -> Schedule:
         return Schedule.from_json(json.dumps(content))
     except InputError as error:
         raise InputError(f"configuration, {part}: {error}") from None
-
-
-def _value_of_schedule(schedule: Schedule, key: str) -> Any:
-    """Value of a cascade's choice: its steps as text, a number of each level, or one of the whole."""
-    levels = schedule.levels
-    if key == "steps":
-        return (
-            " ".join(f"{level.factor}:{level.steps}" for level in levels)
-            if any(x.steps for x in levels)
-            else NO_STEPS
-        )
-    if key == "data_term":
-        return any(level.fidelity is not None for level in levels)
-    if key == "lam":
-        return tuple(float(np.mean(level.step_sizes)) for level in levels if level.steps)
-    if key in ("kappa", "fidelity"):
-        numbers = (getattr(level, key) for level in levels)
-        return tuple(None if number is None else float(np.asarray(number)) for number in numbers)
-    return getattr(schedule, key)
 
 
 def _file() -> type[msgspec.Struct]:

@@ -20,8 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from hyjax.core.cascade import FILLING_PRESET, cascade, check_sampling
-from hyjax.core.pyramid import level_shape
+from hyjax.core.cascade import cascade
 from hyjax.core.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.core.schedule import Schedule
 from hyjax.light.color import to_display
@@ -29,7 +28,6 @@ from hyjax.light.light_edges import Weights, edge_correction, own_light, sharpen
 from hyjax.light.relit import Relit, compared, composite_display, filter_and_light, ratio, relit_picture
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
-from hyjax.light.upscaled import upscaled_picture, upscaled_stages
 from hyjax.light.view import View
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
@@ -57,7 +55,7 @@ def relight(
 
     Args:
         view: the camera's picture with the surface that it shows. If it has a full picture, the filter is brought
-            to that size, see `hyjax.light.upscaled`; not in mode `"paper"`.
+            to that size, see `hyjax.light.relit`; not in mode `"paper"`.
         shaded: light on that surface, see `View.shade`.
         guide: features that say where light may flow; `view.display` is the "RGB guide".
         schedule: cascade for the shading, or a preset's name.
@@ -133,20 +131,15 @@ def relight_stages(
     if mode == "paper" and (shaded.surface_fields or shaded.emission is not None):
         raise InputError("relight: mode 'paper' keeps the photo's own light; shade with keep_photo_light=True")
     size, hit, lit = view.frame.shape[:2], view.gbuffer.hit.shape, shaded.illuminance.shape
-    if mode == "paper" and shaded.sampling > 1:
-        raise InputError("relight: mode 'paper' takes the light of every pixel; shade with sampling=1")
-    if shaded.sampling > 1:
-        check_sampling([schedule, shadow_schedule, Schedule.preset(FILLING_PRESET)], shaded.sampling)
-    samples = level_shape((size[0], size[1]), shaded.sampling)
-    if not size == hit == guide.shape[:2] or lit[:2] != samples:
+    if not size == hit == guide.shape[:2] == lit[:2]:
         raise InputError(
             f"relight: frame {size}, G-buffer {hit}, shading {lit[:2]} and guide {guide.shape[:2]} must be of one "
-            "size" + (f", the shading {shaded.sampling} times smaller" if shaded.sampling > 1 else "")
+            "size"
         )
     if (
         shaded.visibility.shape != lit
         or shaded.colors.shape != (lit[2], 3)
-        or shaded.confidence.shape != (*samples, 1)
+        or shaded.confidence.shape != (*size, 1)
     ):
         raise InputError(
             f"relight: visibility {shaded.visibility.shape}, colours {shaded.colors.shape} and confidence "
@@ -177,19 +170,12 @@ def relight_stages(
             illuminance, correction = run(sharpened, illuminance, correction), None
         illuminance, visibility = temporal_filter(illuminance, visibility)
         yield "temporal filter", (illuminance, visibility)
-    refined = shaded, illuminance, visibility
-    if view.factor == 1:
-        relight_filter, image = run(relit_picture, view.frame, *refined, correction)
-        yield "composite", image
-        yield "comparison", run(compared, view.frame, *refined, relight_filter, image, correction)
-        return
-    refined, emission, kappa = (_surface_alone(shaded), *refined[1:]), shaded.emission, schedule.levels[-1].kappa
-    relight_filter, light = run(filter_and_light, *refined, correction)
-    yield "relight filter", relight_filter
-    whole = run(upscaled_picture, view, relight_filter, light, emission, kappa)
-    yield "composite", whole[1]
-    small = run(compared, view.frame, *refined, relight_filter, view.frame, correction)
-    yield "comparison", run(upscaled_stages, small, view, light, emission, whole, kappa)
+    refined, kappa = (shaded, illuminance, visibility), schedule.levels[-1].kappa
+    filter_and_lux = run(filter_and_light, _surface_alone(shaded), *refined[1:], correction)
+    yield "relight filter", filter_and_lux[0]
+    relit = run(relit_picture, view, *filter_and_lux, shaded.emission, kappa)
+    yield "composite", relit[1]
+    yield "comparison", run(compared, view, *refined, relit, kappa, correction)
 
 
 def cascade_calls(
@@ -225,14 +211,14 @@ def refine_illuminance(shaded: Shaded, guide: Float[Array, "h w f"], schedule: S
     """
     fields = shaded.surface_fields if shaded.refined_photo_light is None else shaded.surface_fields[:-1]
     channels = _joined(shaded.illuminance, *fields) if fields else shaded.illuminance
-    return cascade_known(channels, shaded.confidence, guide, schedule, sampling=shaded.sampling)
+    return cascade_known(channels, shaded.confidence, guide, schedule)
 
 
 def refine_visibility(shaded: Shaded, guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w l"]:
     """Visibility of each light after the shadow pass, filled where the mesh or the light leaves it unknown."""
     known = _lit(shaded.illuminance, shaded.confidence)
-    filled = fill_visibility(shaded.visibility, known, guide, sampling=shaded.sampling)
-    return shadow_pass(filled, guide, schedule, sampling=shaded.sampling)
+    filled = fill_visibility(shaded.visibility, known, guide)
+    return shadow_pass(filled, guide, schedule)
 
 
 @jax.jit

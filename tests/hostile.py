@@ -45,7 +45,7 @@ CALLS: dict[str, Call] = {
     "downsample": (hyjax.downsample, {"y": PICTURE, "factor": 2}),
     "upsample": (hyjax.upsample, {"y": CELLS, "factor": 2, "shape": (H, W)}),
     "min_pool": (hyjax.min_pool, {"edges": EDGES, "factor": 2}),
-    "cascade": (hyjax.cascade, {"y": PICTURE, "guide": PICTURE, "schedule": SCHEDULE, "sampling": 1}),
+    "cascade": (hyjax.cascade, {"y": PICTURE, "guide": PICTURE, "schedule": SCHEDULE}),
     "level_edges": (hyjax.level_edges, {"guide": PICTURE, "schedule": SCHEDULE}),
     "cascade_known": (
         hyjax.cascade_known,
@@ -72,7 +72,7 @@ CALLS: dict[str, Call] = {
     "visibility": (hyjax.visibility, {"gbuffer": GBUFFER, "light": LIGHT, "shadow_map": None}),
     "visibilities": (hyjax.visibilities, {"gbuffer": GBUFFER, "lights": [LIGHT], "shadow_maps": [None]}),
     "View.of": (hyjax.View.of, {"display": PICTURE, "gbuffer": GBUFFER}),
-    "View.shade": (VIEW.shade, {"lights": [LIGHT], "sampling": 1}),
+    "View.shade": (VIEW.shade, {"lights": [LIGHT], "interleave": 1}),
     "Shaded.of": (
         hyjax.Shaded.of,
         {"setup": [LIGHT], "illuminance": PICTURE[..., :1], "visibility": PICTURE[..., :1], "hit": MASK},
@@ -204,7 +204,7 @@ def more_calls(folder: Path) -> dict[str, Call]:
         "Scene.lights": (scene.lights, {"lights": [LIGHT]}),
         "Scene.shade": (
             scene.shade,
-            {"view": scene.view(0), "lights": [LIGHT], "shadows": False, "keep_photo_light": True, "sampling": 1},
+            {"view": scene.view(0), "lights": [LIGHT], "shadows": False, "keep_photo_light": True},
         ),
         "Scene.shadow_maps": (scene.shadow_maps, {"lights": [LIGHT], "occluders": "surface", "scale": 0.05}),
         "Scene.relit": (scene.relit, {"frame": 0, "lights": [LIGHT], "configuration": kept}),
@@ -215,7 +215,7 @@ def more_calls(folder: Path) -> dict[str, Call]:
         "Relighter.relit": (relighter.relit, {"frame": 0}),
         "Relighter.picture": (relighter.picture, {"frame": 0}),
         "Relighter.view": (relighter.view, {"frame": 0}),
-        "Relighter.shade": (relighter.shade, {"view": relighter.view(0), "sampling": 1}),
+        "Relighter.shade": (relighter.shade, {"view": relighter.view(0)}),
         "Relighter.lit": (relighter.lit, {"frame": 0}),
         "relight_capture": (hyjax.relight_capture, {"settings": hyjax.RelightSettings(lights="none")}),
         "Configuration.of": (Configuration.of, {"configuration": "fast"}),

@@ -6,9 +6,11 @@ import math
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
 
 import msgspec
+import numpy as np
 
 from hyjax.choices.choice import Choice
-from hyjax.choices.table import CHOICES, options_of
+from hyjax.choices.table import CHOICES, NO_STEPS, options_of
+from hyjax.core.schedule import Schedule
 from hyjax.util.errors import InputError, did_you_mean
 
 
@@ -109,3 +111,22 @@ def kinds() -> dict[str, Any]:
 def _struct(name: str, choices: tuple[Choice, ...]) -> type[msgspec.Struct]:
     fields = [(choice.key, annotated(choice), choice.default) for choice in choices]
     return msgspec.defstruct(name, fields, frozen=True, kw_only=True, forbid_unknown_fields=True)
+
+
+def value_of_schedule(schedule: Schedule, key: str) -> Any:
+    """Value of a cascade's choice: its steps as text, a number of each level, or one of the whole."""
+    levels = schedule.levels
+    if key == "steps":
+        return (
+            " ".join(f"{level.factor}:{level.steps}" for level in levels)
+            if any(x.steps for x in levels)
+            else NO_STEPS
+        )
+    if key == "data_term":
+        return any(level.fidelity is not None for level in levels)
+    if key == "lam":
+        return tuple(float(np.mean(level.step_sizes)) for level in levels if level.steps)
+    if key in ("kappa", "fidelity"):
+        numbers = (getattr(level, key) for level in levels)
+        return tuple(None if number is None else float(np.asarray(number)) for number in numbers)
+    return getattr(schedule, key)

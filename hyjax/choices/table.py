@@ -103,14 +103,16 @@ for _row in (
         said=("page",),
         refused=("webgpu", "blender", "video"),
     ),
-    _followed(
+    Choice(
         "sampling",
         "light.sampling",
         int,
         2,
-        "Side, in pixels, of the blocks with light at one pixel each, as far as the schedules average over blocks.",
+        "Light is found and repaired at a picture so many times smaller, as far as the cascades' cells allow it.",
         bounds=(1, 16),
         tried=Tried((1, 2, 4), scale="ordered"),
+        said=("webgpu", "page", "blender"),
+        unfollowed=1,
     ),
     _followed(
         "cascade",

@@ -1,29 +1,26 @@
 """Coarse-to-fine diffusion (Eq. 4)."""
 
-import functools
+import dataclasses
 from collections.abc import Sequence
 
 import jax
-import numpy as np
 from jaxtyping import Array, Float
 
 from hyjax.core.diffusion import diffuse, edge_stopping, guide_distance
 from hyjax.core.pyramid import cell_pyramid, level_shape, max_pool, upsample
-from hyjax.core.schedule import Schedule
+from hyjax.core.schedule import Level, Schedule
 from hyjax.core.stencil import CoarseEdges
 from hyjax.core.upsampling import upsample_between
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 
-FILLING_PRESET = "hyjax"
-"""Preset that fills unseen visibility, see `hyjax.core.refine.fill_visibility`."""
 LEAST_SAMPLES = 2
-"""Fewest samples along each side of a cell at the levels where a picture enters."""
+"""Fewest pixels along each side of a cell at the levels where a sampled picture enters."""
 
 
 @checked_arguments
 def cascade(
-    y: Float[Array, "sh sw c"], guide: Float[Array, "h w f"], schedule: Schedule | str, *, sampling: int = 1
+    y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule | str
 ) -> Float[Array, "h w c"]:
     """Diffuse coarse to fine under a guide (Eq. 4).
 
@@ -43,21 +40,18 @@ def cascade(
         guide: features of the frame, same height and width. Nothing flows through cells that hold values that
             are not finite; they affect nothing beyond.
         schedule: levels with their steps, λ and κ, or a preset's name.
-        sampling: `y` has a value for each block of so many by so many pixels of the guide. See `largest_sampling`.
 
     Returns:
         The repaired filter, full size (S of Eq. 4).
 
     Raises:
-        InputError: sizes of `y` and `guide` differ, the schedule cannot be run (see `Schedule.check`), or it takes
-            the filter at a level that is finer than the sampling.
+        InputError: sizes of `y` and `guide` differ, or the schedule cannot be run (see `Schedule.check`).
     """
     schedule = Schedule.of(schedule).check(dtype=y.dtype)
-    check_sampling([schedule], sampling)
-    if y.shape[:2] != level_shape((guide.shape[0], guide.shape[1]), sampling):
-        same = "same H x W" if sampling == 1 else f"the filter {sampling} times smaller"
-        raise InputError(f"cascade: filter {y.shape} and guide {guide.shape} must both be H x W x channels, {same}")
-    return _cascade(y, guide, schedule, sampling=sampling)
+    if y.shape[:2] != guide.shape[:2]:
+        both = f"filter {y.shape} and guide {guide.shape}"
+        raise InputError(f"cascade: {both} must both be H x W x channels, same H x W")
+    return _cascade(y, guide, schedule)
 
 
 def entries(schedule: Schedule) -> Sequence[int]:
@@ -69,44 +63,38 @@ def entries(schedule: Schedule) -> Sequence[int]:
     return [level.factor for k, level in enumerate(schedule.levels) if k == 0 or level.fidelity is not None]
 
 
-def check_sampling(schedules: Sequence[Schedule], sampling: int) -> None:
-    """Raise `InputError` unless pictures of this sampling can enter cascades of these schedules.
-
-    >>> check_sampling([Schedule.preset("hyjax")], 3)
-    Traceback (most recent call last):
-    hyjax.util.errors.InputError: sampling: ...
-    """
-    if isinstance(sampling, bool) or not isinstance(sampling, int | np.integer) or sampling < 1:
-        raise InputError(f"sampling: must be a whole number of 1 or more, got {sampling!r}")
-    for schedule in schedules:
-        if bad := [factor for factor in entries(schedule) if factor % sampling]:
-            raise InputError(
-                f"sampling: schedule {schedule.name} takes the light at factor {bad[-1]}, which is no multiple of "
-                f"{sampling}; use sampling 1, or another schedule"
-            )
-
-
 def largest_sampling(schedules: Sequence[Schedule], most: int) -> int:
-    """Largest sampling up to `most` that leaves each cell where a picture enters at least four samples.
-
-    It holds for the schedules and for the filling of unseen visibility.
+    """Largest sampling up to `most` that leaves each cell where a picture enters at least four pixels.
 
     >>> largest_sampling([Schedule.preset("hyjax"), Schedule.preset("hyjax-scan-shadow")], 2)
     2
     >>> largest_sampling([Schedule.preset("hyjax"), Schedule.preset("hyjax-shadow")], 2)
     1
     """
-    factors = [factor for schedule in (*schedules, Schedule.preset(FILLING_PRESET)) for factor in entries(schedule)]
+    factors = [factor for schedule in schedules for factor in entries(schedule)]
     return max(k for k in range(1, max(most, 1) + 1) if k == 1 or not any(f % (LEAST_SAMPLES * k) for f in factors))
 
 
-@functools.partial(jax.jit, static_argnames="sampling")
-def _cascade(
-    y: Float[Array, "sh sw c"], guide: Float[Array, "h w f"], schedule: Schedule, *, sampling: int
-) -> Float[Array, "h w c"]:
+def sampled_schedule(schedule: Schedule, sampling: int) -> Schedule:
+    """Schedule for pictures so many times smaller: its cells cover as much of the frame.
+
+    Of levels with smaller cells than their pixels have the coarsest is left, at all pixels.
+
+    >>> [level.factor for level in sampled_schedule(Schedule.preset("hyjax-scan-shadow"), 2).levels]
+    [2, 1]
+    """
+    levels: list[Level] = []
+    for level in schedule.levels:
+        factor = 1 if level.factor % sampling else level.factor // sampling
+        if not levels or factor < levels[-1].factor:
+            levels.append(dataclasses.replace(level, factor=factor))
+    return dataclasses.replace(schedule, levels=tuple(levels))
+
+
+@jax.jit
+def _cascade(y: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Array, "h w c"]:
     full, factors = (guide.shape[0], guide.shape[1]), [level.factor for level in schedule.levels]
-    sampled = cell_pyramid(y, [factor // sampling for factor in entries(schedule)])
-    means = {sampling * factor: cells for factor, cells in sampled.items()}
+    means = cell_pyramid(y, entries(schedule))
     guides = cell_pyramid(guide, [*factors, 1])
     coarser, kappa = factors[0], schedule.levels[0].kappa
     state = means[coarser]

@@ -1,31 +1,28 @@
 """Cascades of pictures with unknown or doubtful values, and the shadow pass."""
 
-import dataclasses
-import functools
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from hyjax.core.cascade import FILLING_PRESET, cascade, check_sampling
+from hyjax.core.cascade import cascade
 from hyjax.core.pyramid import cell_pixels, downsample
 from hyjax.core.schedule import Schedule
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.geometry import TINY
 
+FILLING_PRESET = "hyjax"
+"""Preset that fills what is unknown."""
 HOLE_FLOOR = 1e-3
 """Weight below which a hole counts as too far from any surface to be filled from its surroundings."""
 
 
 @checked_arguments
 def cascade_known(
-    y: Float[Array, "sh sw c"],
-    confidence: Float[Array, "sh sw k"] | Bool[Array, "sh sw k"],
+    y: Float[Array, "h w c"],
+    confidence: Float[Array, "h w k"] | Bool[Array, "h w k"],
     guide: Float[Array, "h w f"],
     schedule: Schedule | str,
-    *,
-    sampling: int = 1,
 ) -> Float[Array, "h w c"]:
     """Cascade with values weighted by their confidence (normalised convolution).
 
@@ -45,7 +42,6 @@ def cascade_known(
         guide: see `cascade`.
         schedule: see `cascade`. Its fidelity holds (w y, w) alike: confident pixels keep their value, unknown
             ones have none to keep.
-        sampling: see `cascade`.
 
     Raises:
         InputError: sizes that differ, or a schedule that cannot be run; see `cascade`.
@@ -55,19 +51,16 @@ def cascade_known(
     schedule = Schedule.of(schedule).check(dtype=y.dtype)
     if confidence.shape[-1] not in (1, y.shape[-1]):
         raise InputError(f"confidence: must have 1 channel or {y.shape[-1]} as the filter, got {confidence.shape}")
-    return _cascade_known(y, confidence, guide, schedule, sampling=sampling)
+    return _cascade_known(y, confidence, guide, schedule)
 
 
-@functools.partial(jax.jit, static_argnames="sampling")
+@jax.jit
 def _cascade_known(
-    y: Float[Array, "sh sw c"],
-    confidence: Float[Array, "sh sw k"] | Bool[Array, "sh sw k"],
+    y: Float[Array, "h w c"],
+    confidence: Float[Array, "h w k"] | Bool[Array, "h w k"],
     guide: Float[Array, "h w f"],
     schedule: Schedule,
-    *,
-    sampling: int,
 ) -> Float[Array, "h w c"]:
-    check_sampling([schedule], sampling)
     weight, channels = confidence.astype(y.dtype), y.shape[-1]
     usable = jnp.isfinite(y)
     if weight.shape[-1] == 1:
@@ -75,12 +68,12 @@ def _cascade_known(
     weight = jnp.where(usable & jnp.isfinite(weight) & (weight > 0), jnp.minimum(weight, 1.0), 0.0)
     weighted = jnp.concatenate([jnp.where(weight > 0, y, 0.0) * weight, weight], axis=-1)
     # Summed over the coarsest cells, which the cascade needs anyhow: XLA's CPU backend is slow to sum over pixels.
-    factor = schedule.levels[0].factor // sampling
+    factor = schedule.levels[0].factor
     pixels = jnp.asarray(cell_pixels((y.shape[0], y.shape[1]), factor), jnp.float32)
     # In single precision at least: a sum over a picture overflows half precision.
     total = jnp.sum((downsample(weighted, factor) * pixels).astype(jnp.promote_types(y.dtype, jnp.float32)), (0, 1))
     mean = (total[:channels] / jnp.maximum(total[channels:], TINY)).astype(y.dtype)
-    diffused = cascade(weighted, guide, schedule, sampling=sampling)
+    diffused = cascade(weighted, guide, schedule)
     reached = diffused[..., channels:]
     floor = jnp.maximum(HOLE_FLOOR * (1.0 - reached), 0.0)  # nothing where everything is known
     divisor = reached + floor
@@ -97,7 +90,7 @@ def _all_channels(x: Bool[Array, "h w c"]) -> Bool[Array, "h w 1"]:
 
 @checked_arguments
 def shadow_pass(
-    raw: Float[Array, "sh sw c"], guide: Float[Array, "h w f"], schedule: Schedule | str, *, sampling: int = 1
+    raw: Float[Array, "h w c"], guide: Float[Array, "h w f"], schedule: Schedule | str
 ) -> Float[Array, "h w c"]:
     """Refine visibility by few steps at high resolution, which softens shadows and keeps their shape.
 
@@ -112,19 +105,18 @@ def shadow_pass(
         raw: visibility, in [0, 1].
         guide: as for `cascade`.
         schedule: few steps at factor 1 or 2, such as `Schedule.preset("shadow")`.
-        sampling: see `cascade`.
 
     Raises:
         InputError: see `cascade`.
     """
-    return cascade(raw, guide, schedule, sampling=sampling)
+    return cascade(raw, guide, schedule)
 
 
 @checked_arguments
-@functools.partial(jax.jit, static_argnames="sampling")
+@jax.jit
 def fill_visibility(
-    raw: Float[Array, "sh sw l"], known: Bool[Array, "sh sw l"], guide: Float[Array, "h w f"], *, sampling: int = 1
-) -> Float[Array, "sh sw l"]:
+    raw: Float[Array, "h w l"], known: Bool[Array, "h w l"], guide: Float[Array, "h w f"]
+) -> Float[Array, "h w l"]:
     """Fill visibility that the mesh leaves unknown from its surroundings, by the preset `hyjax`.
 
     Nothing is known in holes, nor of a light on surfaces turned away from it. What lies there in truth may well be
@@ -139,14 +131,9 @@ def fill_visibility(
         raw: visibility, a channel for each light.
         known: where it means anything.
         guide: as for `cascade`.
-        sampling: see `cascade`; the result has the samples of `raw`.
 
     Raises:
         InputError: see `cascade`.
     """
-    known, schedule = known & jnp.isfinite(raw), Schedule.preset(FILLING_PRESET)
-    check_sampling([schedule], sampling)
-    if sampling > 1:  # the same levels, over the means of the guide
-        levels = tuple(dataclasses.replace(level, factor=level.factor // sampling) for level in schedule.levels)
-        schedule, guide = dataclasses.replace(schedule, levels=levels), downsample(guide, sampling)
-    return jnp.where(known, raw, cascade_known(raw, known, guide, schedule))
+    known = known & jnp.isfinite(raw)
+    return jnp.where(known, raw, cascade_known(raw, known, guide, Schedule.preset(FILLING_PRESET)))

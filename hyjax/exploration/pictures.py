@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from hyjax.choices.table import CASCADES
 from hyjax.configuration import Configuration
+from hyjax.core.pyramid import downsample
 from hyjax.core.schedule import Level, Schedule
 from hyjax.exploration.kept_stages import KeptStages
 from hyjax.light.photo_light import SurfaceLight, direct_channels
@@ -161,7 +162,9 @@ class Pictures:
             until_view = self._followed(relighter.stages(opened, gbuffer=gbuffer))
             self._views = {k: v for k, v in self._views.items() if k[0] == frame}
             view = clock.follow(until_view, until="view")
-            self._views[size] = dataclasses.replace(view, full=None) if small else view
+            if small and view.full is not None:
+                view = dataclasses.replace(view, full=downsample(view.full, configuration.scale))
+            self._views[size] = view
         lit = clock.follow(self._followed(relighter.stages(frame, view=self._views[size])), until="guide")
         self._frames = [*self._frames, (relighter, frame, small, lit)][-KEPT_FRAMES:]
         return lit
@@ -214,12 +217,17 @@ class Pictures:
         if configuration.mode == "paper":
             raise InputError("levels: mode 'paper' is shown by its stages only")
         lit, found = self.lit(frame, lights, configuration, clock), []
-        schedule, weights = self._as_run(configuration).schedule, np.asarray(lit.shaded.colors)
-        for count, level in enumerate(schedule.levels, 1):
-            part = dataclasses.replace(schedule, levels=schedule.levels[:count])
-            (function, *arguments), _ = cascade_calls(lit.shaded, lit.features, part, configuration.shadow_schedule)
+        own, weights = self._as_run(configuration).sampled(), np.asarray(lit.shaded.colors)
+        for count, level in enumerate(own.schedule.levels, 1):
+            part = dataclasses.replace(own.schedule, levels=own.schedule.levels[:count])
+            (function, *arguments), _ = cascade_calls(lit.shaded, lit.features, part, own.shadow_schedule)
             each = np.asarray(run_kept(function, *arguments))[..., : len(weights)]
-            found.append((f"after 1/{level.factor}", each @ weights / np.asarray(lit.shaded.reference_lux)))
+            found.append(
+                (
+                    f"after 1/{level.factor * configuration.light.sampling}",
+                    each @ weights / np.asarray(lit.shaded.reference_lux),
+                )
+            )
         return found
 
     def _as_run(self, configuration: Configuration) -> Configuration:

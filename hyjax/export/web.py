@@ -122,8 +122,7 @@ def write_page(
         content = page_content(scene.capture.name, size, setup, entries) | programs | described
         content |= {"presets": presets_of, "sun": by_hour}
         (folder / _PAGE_FILE).write_text(json.dumps(content), encoding="utf-8")
-        own = configuration.with_choices({"sampling": 1})
-        _write_sheet(Relighter(scene, setup, own, whole=True), frames, folder)
+        _write_sheet(Relighter(scene, setup, configuration, whole=True), frames, folder)
         steps.update()
         _write_scripts(folder)
         (folder / "README.md").write_text(_readme(content), encoding="utf-8")

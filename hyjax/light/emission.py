@@ -15,11 +15,10 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from hyjax.core.finite import finite_or_zero
 from hyjax.core.upsampling import guided_upsample
-from hyjax.light.color import to_linear
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.panes import PANE_SLACK, Bars, lit_degree, pane_shares, pixel_rays, ramp
-from hyjax.util.geometry import dot
+from hyjax.util.geometry import TINY, dot
 from hyjax.util.tracing import concrete
 
 PANE_REFLECTANCE, LAMP_REFLECTANCE = 0.04, 0.6
@@ -168,43 +167,29 @@ def may_show(
 def emission(
     emitters: Emitters,
     frame: Float[Array, "h w 3"],
-    gbuffer: GBuffer,
+    depth: Float[Array, "h w"],
     pose: Float[Array, "4 4"],
     intrinsics: Float[Array, "3 3"],
 ) -> Emission:
     """Pixels of a view that emit, see `source_pixels`."""
     frame = finite_or_zero(frame)
-    return shine(emitters, source_pixels(emitters, frame, gbuffer, pose, intrinsics), frame)
+    return shine(emitters, source_pixels(emitters, frame, depth, pose, intrinsics), frame)
 
 
 @functools.partial(jax.jit, static_argnames="factor")
-def upscaled_emission(
-    emitters: Emitters,
-    full: Float[Array, "fh fw 3"],
-    display: Float[Array, "h w 3"],
-    gbuffer: GBuffer,
-    pose: Float[Array, "4 4"],
-    intrinsics: Float[Array, "3 3"],
-    *,
-    factor: int,
-) -> Emission:
-    """Pixels that emit of a picture `factor` times larger than its G-buffer.
-
-    Borders of sources are drawn at the picture's size; what stands before them is brought there under the picture.
+def upscaled_depth(
+    gbuffer: GBuffer, full: Float[Array, "fh fw 3"], display: Float[Array, "h w 3"], *, factor: int
+) -> Float[Array, "fh fw"]:
+    """Depth of a surface, infinite in its holes, at the size of a picture `factor` times larger, and under it.
 
     Args:
         full: the picture, display-encoded.
         display: the same at the G-buffer's size.
-        intrinsics: calibration matrix at the G-buffer's size.
     """
     nearness = jnp.where(gbuffer.hit, 1.0 / jnp.where(gbuffer.hit, gbuffer.depth, 1.0), 0.0)
     seen = jnp.stack([gbuffer.hit.astype(nearness.dtype), nearness], axis=-1)
     hit, nearness = jnp.moveaxis(guided_upsample(seen, factor, full, SURFACE_KAPPA, coarse=display), -1, 0)
-    surface = hit > 0.5
-    depth = jnp.where(surface, hit / jnp.where(surface, nearness, 1.0), 0.0)
-    none = jnp.zeros((*depth.shape, 3))
-    matrix = intrinsics * jnp.array([[factor], [factor], [1.0]])
-    return emission(emitters, to_linear(full), GBuffer(none, none, depth, surface), pose, matrix)
+    return jnp.where(hit > 0.5, hit / jnp.maximum(nearness, TINY), jnp.inf)
 
 
 @jax.jit
@@ -230,7 +215,7 @@ def shine(emitters: Emitters, pixels: SourcePixels, frame: Float[Array, "h w 3"]
 def source_pixels(
     emitters: Emitters,
     frame: Float[Array, "h w 3"],
-    gbuffer: GBuffer,
+    depth: Float[Array, "h w"],
     pose: Float[Array, "4 4"],
     intrinsics: Float[Array, "3 3"],
 ) -> SourcePixels:
@@ -239,15 +224,15 @@ def source_pixels(
     Args:
         emitters: of the place; where they are, not what they send.
         frame: the photo, linear.
-        gbuffer: surface of the view; what lies before a pane hides it.
+        depth: of the surface, infinite in its holes; what lies before a pane hides it.
         pose: camera-to-world.
         intrinsics: calibration matrix.
     """
-    ray, depth, pixel = pixel_rays(gbuffer, pose, intrinsics)
+    ray, pixel = pixel_rays(depth.shape, pose, intrinsics)
     weight, pattern = jnp.zeros(depth.shape), jnp.ones((*depth.shape, 3))
     source = jnp.full(depth.shape, -1)
     panes = emitters.panes, emitters.bars, emitters.pane_means
-    glass, framed = pane_shares(*panes, frame, gbuffer, pose, intrinsics)
+    glass, framed = pane_shares(*panes, frame, depth, pose, intrinsics)
     shares = list(glass)
     # A lamp's rim is mixed with what lies behind it, and would stay as a bright ring.
     brightness, rim = jnp.min(frame, axis=-1), 2 * -(-frame.shape[1] // RIM_WIDTH) + 1

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hyjax.light.gbuffer import GBuffer
 from hyjax.util.geometry import cross, dot, unit
 
 PANE_UNLIT, PANE_LIT = 0.05, 0.1
@@ -49,15 +48,19 @@ def pane_shares(
     bars: Bars,
     means: Float[Array, "n 3"],
     frame: Float[Array, "h w 3"],
-    gbuffer: GBuffer,
+    depth: Float[Array, "h w"],
     pose: Float[Array, "4 4"],
     intrinsics: Float[Array, "3 3"],
 ) -> tuple[Float[Array, "n h w"], Float[Array, "n h w"]]:
-    """Weight of each pane in each pixel, in [0, 1]; and how far the pixel belongs to its frame and bars."""
-    glass, openings = _covers(panes, bars, gbuffer, pose, intrinsics)
+    """Weight of each pane in each pixel, in [0, 1]; and how far the pixel belongs to its frame and bars.
+
+    Args:
+        depth: of the surface, infinite in its holes.
+    """
+    glass, openings = _covers(panes, bars, depth, pose, intrinsics)
     brightness = jnp.min(frame, axis=-1)
     bright = ramp(brightness, PANE_DARK, PANE_BRIGHT)
-    dark = jnp.where(gbuffer.hit, 0.0, 1.0 - ramp(brightness, PANE_UNLIT, PANE_LIT))
+    dark = jnp.where(jnp.isfinite(depth), 0.0, 1.0 - ramp(brightness, PANE_UNLIT, PANE_LIT))
     lit = lit_degree(means)[:, None, None]
     return glass * (lit * bright + (1.0 - lit) * dark), openings - glass
 
@@ -67,13 +70,13 @@ def open_shares(
     panes: Float[Array, "n 3 3"],
     bars: Bars,
     frame: Float[Array, "h w 3"],
-    gbuffer: GBuffer,
+    depth: Float[Array, "h w"],
     pose: Float[Array, "4 4"],
     intrinsics: Float[Array, "3 3"],
 ) -> Float[Array, "n h w"]:
     """Share of each pane in each pixel, in [0, 1], where it is bright or the scan has a hole; see `pane_shares`."""
-    shown = jnp.where(gbuffer.hit, ramp(jnp.min(frame, axis=-1), PANE_DARK, PANE_BRIGHT), 1.0)
-    return _covers(panes, bars, gbuffer, pose, intrinsics)[0] * shown
+    shown = jnp.where(jnp.isfinite(depth), ramp(jnp.min(frame, axis=-1), PANE_DARK, PANE_BRIGHT), 1.0)
+    return _covers(panes, bars, depth, pose, intrinsics)[0] * shown
 
 
 def lit_degree(means: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
@@ -84,12 +87,12 @@ def lit_degree(means: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
 def _covers(
     panes: Float[Array, "n 3 3"],
     bars: Bars,
-    gbuffer: GBuffer,
+    depth: Float[Array, "h w"],
     pose: Float[Array, "4 4"],
     intrinsics: Float[Array, "3 3"],
 ) -> tuple[Float[Array, "n h w"], Float[Array, "n h w"]]:
     """Share of each pane's glass in each pixel, and of its whole opening, with nothing before it."""
-    ray, depth, pixel = pixel_rays(gbuffer, pose, intrinsics)
+    ray, pixel = pixel_rays(depth.shape, pose, intrinsics)
     shares = []
     for (center, right, up), spans, recess in zip(panes, bars.spans, bars.recess, strict=True):
         normal = cross(right, up)
@@ -116,14 +119,13 @@ def _covers(
 
 
 def pixel_rays(
-    gbuffer: GBuffer, pose: Float[Array, "4 4"], intrinsics: Float[Array, "3 3"]
-) -> tuple[Float[Array, "h w 3"], Float[Array, "h w"], Float[Array, ""]]:
-    """Rays of unit depth, depth of the surface on them (infinite in holes), and width of a pixel at unit depth."""
-    h, w = gbuffer.depth.shape
-    x, y = jnp.meshgrid(jnp.arange(w) + 0.5, jnp.arange(h) + 0.5)
+    shape: tuple[int, ...], pose: Float[Array, "4 4"], intrinsics: Float[Array, "3 3"]
+) -> tuple[Float[Array, "h w 3"], Float[Array, ""]]:
+    """Rays of unit depth, and width of a pixel at unit depth."""
+    x, y = jnp.meshgrid(jnp.arange(shape[1]) + 0.5, jnp.arange(shape[0]) + 0.5)
     local = [(x - intrinsics[0, 2]) / intrinsics[0, 0], (y - intrinsics[1, 2]) / intrinsics[1, 1], jnp.ones_like(x)]
     ray = jnp.stack([sum(pose[i, k] * local[k] for k in range(3)) for i in range(3)], axis=-1)
-    return ray, jnp.where(gbuffer.hit, gbuffer.depth, jnp.inf), 1.0 / intrinsics[0, 0]
+    return ray, 1.0 / intrinsics[0, 0]
 
 
 def ramp(x: Float[Array, "*s"], low: float, high: float) -> Float[Array, "*s"]:

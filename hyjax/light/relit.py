@@ -5,9 +5,10 @@ from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.core.finite import finite_or_zero
+from hyjax.core.upsampling import guided_upsample
 from hyjax.light.color import to_display, to_linear
 from hyjax.light.compositing import composite
 from hyjax.light.emission import Emission
@@ -15,6 +16,7 @@ from hyjax.light.light_edges import sharpened
 from hyjax.light.photo_light import LEAST_PHOTO_LIGHT
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
+from hyjax.light.view import View
 
 
 @jax.tree_util.register_dataclass
@@ -40,70 +42,96 @@ class Relit:
 
 
 @jax.jit
-def relit_picture(
-    frame: Float[Array, "h w 3"],
-    shaded: Shaded,
-    illuminance: Float[Array, "h w c"],
-    visibility: Float[Array, "h w l"],
-    correction: Float[Array, "h w 1"] | None = None,
-) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
-    """Relight filter and relit picture, linear (Eq. 1). Pixels of the frame that are not finite are black.
-
-    Args:
-        illuminance, visibility: refined.
-        correction: of the photo's own light, see `hyjax.light.light_edges.edge_correction`.
-    """
-    relight_filter, light = filter_and_light(shaded, illuminance, visibility, correction)
-    return finished(frame, relight_filter, light, shaded.emission)
-
-
-@jax.jit
 def filter_and_light(
     shaded: Shaded,
     illuminance: Float[Array, "h w c"],
     visibility: Float[Array, "h w l"],
     correction: Float[Array, "h w 1"] | None = None,
 ) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
-    """Relight filter without emission, and the new light over the reference; arguments as of `relit_picture`."""
+    """Relight filter, and the new light over the reference.
+
+    Args:
+        illuminance, visibility: refined.
+        correction: of the photo's own light, see `hyjax.light.light_edges.edge_correction`.
+    """
     direct, fields = _split(illuminance, shaded, correction)
-    light = _light(direct * visibility, shaded, fields)
-    return _or_ambient(_divide(light, shaded, fields), shaded), _or_ambient(light, shaded)
+    return _filter_and_light(direct * visibility, fields, shaded)
 
 
-def finished(
-    frame: Float[Array, "h w 3"],
+@jax.jit
+def relit_picture(
+    view: View,
     relight_filter: Float[Array, "h w 3"],
     light: Float[Array, "h w 3"],
     emission: Emission | None,
-) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
-    """Relight filter and relit picture with emission, from the results of `filter_and_light`."""
-    relight_filter = framed(relight_filter, light, emission)
-    return relight_filter, with_emission(composite(relight_filter, finite_or_zero(frame)), light, emission)
+    kappa: Float[ArrayLike, ""],
+) -> tuple[Float[Array, "fh fw 3"], Float[Array, "fh fw 3"]]:
+    """Relight filter and relit picture (Eq. 1), linear. Pixels of the frame that are not finite are black.
+
+    Where the view has a full picture, filter and light are interpolated under it, as a cascade's last level is, and
+    the picture is multiplied at full size: its texture stays.
+
+    Args:
+        relight_filter, light: of `filter_and_light`.
+        emission: at the picture's size.
+        kappa: κ of the interpolation, see `guided_upsample`.
+
+    Source: Kopf, Cohen, Lischinski and Uyttendaele, *Joint bilateral upsampling*, SIGGRAPH 2007.
+    """
+    relight_filter = _upscaled(view, relight_filter, kappa)
+    frame = finite_or_zero(_whole_frame(view))
+    if emission is None:
+        return relight_filter, composite(relight_filter, frame)
+    light = _upscaled(view, light, kappa)
+    relight_filter = _framed(relight_filter, light, emission)
+    return relight_filter, _with_emission(composite(relight_filter, frame), light, emission)
 
 
 @jax.jit
 def compared(
-    frame: Float[Array, "h w 3"],
+    view: View,
     shaded: Shaded,
     illuminance: Float[Array, "h w c"],
     visibility: Float[Array, "h w l"],
-    relight_filter: Float[Array, "h w 3"],
-    image: Float[Array, "h w 3"],
+    relit: tuple[Float[Array, "fh fw 3"], Float[Array, "fh fw 3"]],
+    kappa: Float[ArrayLike, ""],
     correction: Float[Array, "h w 1"] | None = None,
 ) -> Relit:
-    """Stages of a relit frame for comparison; arguments and results of `relit_picture`."""
-    frame = finite_or_zero(frame)
-    samples = (
-        _divide(_light(channels, shaded, shaded.surface_fields), shaded, shaded.surface_fields)
-        for channels in (shaded.illuminance, shaded.illuminance * shaded.visibility)
-    )
-    raw, raw_shadowed = (_repeated(sample, shaded.sampling, frame.shape) for sample in samples)
+    """Stages of a relit frame for comparison; arguments of `filter_and_light`, and results of `relit_picture`."""
+    emission, (relight_filter, image) = shaded.emission, relit
+    channels = shaded.illuminance, shaded.illuminance * shaded.visibility
+    unrefined = [
+        _divide(_light(light, shaded, shaded.surface_fields), shaded, shaded.surface_fields) for light in channels
+    ]
     direct, fields = _split(illuminance, shaded, correction)
-    light, shadowed = (_light(channels, shaded, fields) for channels in (direct, direct * visibility))
-    refined = framed(_or_ambient(_divide(light, shaded, fields), shaded), light, shaded.emission)
-    visible, unrefined = ratio(relight_filter, refined), composite(raw_shadowed, frame)
-    unrefined = with_emission(unrefined, shadowed, shaded.emission)
-    return Relit(raw, refined, visible, relight_filter, unrefined, image)
+    refined = _filter_and_light(direct, fields, shaded)
+    shadowed = _filter_and_light(direct * visibility, fields, shaded)[1]
+    raw, raw_shadowed, filtered, light, shadowed = (
+        _upscaled(view, stage, kappa) for stage in (*unrefined, *refined, shadowed)
+    )
+    filtered = _framed(filtered, light, emission)
+    picture = _with_emission(composite(raw_shadowed, finite_or_zero(_whole_frame(view))), shadowed, emission)
+    return Relit(raw, filtered, ratio(relight_filter, filtered), relight_filter, picture, image)
+
+
+def _whole_frame(view: View) -> Float[Array, "fh fw 3"]:
+    """Picture at full size, linear."""
+    return view.frame if view.full is None or view.factor == 1 else to_linear(view.full)
+
+
+def _upscaled(view: View, stage: Float[Array, "h w c"], kappa: Float[ArrayLike, ""]) -> Float[Array, "fh fw c"]:
+    """Stage at the size of the full picture."""
+    if view.full is None or view.factor == 1:
+        return stage
+    return guided_upsample(stage, view.factor, view.full, kappa, coarse=view.display)
+
+
+def _filter_and_light(
+    channels: Float[Array, "h w l"], fields: Sequence[Float[Array, "h w 3"]], shaded: Shaded
+) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
+    """Relight filter and new light, or the ambient lights' where nothing of the frame is known."""
+    light = _light(channels, shaded, fields)
+    return _or_ambient(_divide(light, shaded, fields), shaded), _or_ambient(light, shaded)
 
 
 def _split(
@@ -122,7 +150,7 @@ def _or_ambient(relight_filter: Float[Array, "h w 3"], shaded: Shaded) -> Float[
     return jnp.where(jnp.any(shaded.confidence > 0), relight_filter, shaded.ambient)
 
 
-def framed(
+def _framed(
     relight_filter: Float[Array, "h w 3"], light: Float[Array, "h w 3"], emission: Emission | None
 ) -> Float[Array, "h w 3"]:
     """Filter, smaller on frames of windows, which had more light in the photo than what is beside them."""
@@ -131,19 +159,13 @@ def framed(
     return jnp.minimum(relight_filter, light / jnp.maximum(emission.frame_light, LEAST_PHOTO_LIGHT))
 
 
-def with_emission(
+def _with_emission(
     picture: Float[Array, "h w 3"], light: Float[Array, "h w 3"], emission: Emission | None
 ) -> Float[Array, "h w 3"]:
     """Picture with its emitting pixels, which also reflect light."""
     if emission is None:
         return picture
     return picture + emission.weight * (emission.sent + emission.reflectance * light - picture)
-
-
-def _repeated(samples: Float[Array, "sh sw 3"], sampling: int, shape: tuple[int, ...]) -> Float[Array, "h w 3"]:
-    """Repeat each sample over its whole block of pixels."""
-    pixels = jnp.repeat(jnp.repeat(samples, sampling, axis=0), sampling, axis=1) if sampling > 1 else samples
-    return pixels[: shape[0], : shape[1]]
 
 
 def _light(

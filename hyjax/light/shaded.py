@@ -31,8 +31,7 @@ class Shaded:
         bounced: lux of the lights by way of other surfaces, with their colours; None for none.
         photo_light: illuminance of the photographed frame, relative to its mean; None if assumed even.
         emission: emitting pixels, of the full picture where the view is smaller; None if there are none.
-        refined_photo_light: `photo_light` of all pixels refined before; None to refine it with the rest.
-        sampling: the light is that of one pixel in each block of so many by so many (static); not emission.
+        refined_photo_light: `photo_light` refined before; None to refine it with the rest.
     """
 
     illuminance: Float[Array, "h w l"]
@@ -44,8 +43,7 @@ class Shaded:
     bounced: Float[Array, "h w 3"] | None = None
     photo_light: Float[Array, "h w 3"] | None = None
     emission: Emission | None = None
-    refined_photo_light: Float[Array, "fh fw 3"] | None = None
-    sampling: int = dataclasses.field(default=1, metadata={"static": True})
+    refined_photo_light: Float[Array, "h w 3"] | None = None
 
     @property
     def surface_fields(self) -> tuple[Float[Array, "h w 3"], ...]:
@@ -62,7 +60,6 @@ class Shaded:
         hit: Bool[Array, "h w"],
         *,
         confidence: Float[Array, "h w 1"] | None = None,
-        sampling: int = 1,
     ) -> "Shaded":
         """Shaded surface from the illuminance of a set-up, computed by any renderer.
 
@@ -72,7 +69,6 @@ class Shaded:
             visibility: unshadowed share of it.
             hit: where the mesh has a surface.
             confidence: how far the shading can be trusted; 1 by default. In holes it is always 0.
-            sampling: see `Shaded`.
 
         Raises:
             InputError: no lights, or shapes that do not fit.
@@ -88,7 +84,7 @@ class Shaded:
         if confidence is not None and confidence.shape != (*hit.shape, 1):
             raise InputError(f"shaded: confidence is {confidence.shape}, must be {(*hit.shape, 1)}")
         known, colors, ambient = _complete(hit, confidence, setup.lights, setup.reference_lux)
-        return cls(illuminance, visibility, colors, known, setup.reference_lux, ambient, sampling=sampling)
+        return cls(illuminance, visibility, colors, known, setup.reference_lux, ambient)
 
 
 @jax.jit

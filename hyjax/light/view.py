@@ -6,12 +6,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.core.pyramid import level_shape
 from hyjax.light.color import to_linear
-from hyjax.light.emission import emission, may_show, upscaled_emission
-from hyjax.light.gbuffer import GBuffer, sample_pixels
+from hyjax.light.emission import emission, may_show, upscaled_depth
+from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import SurfaceLight, add_surface_light
 from hyjax.light.setup import LightSetup, check_lights
@@ -81,7 +82,7 @@ class View:
             pose: camera-to-world.
             intrinsics: calibration matrix in pixels.
             full: the picture at full size, likewise, where `display` is at a whole part of it: it is relit at full
-                size, see `hyjax.light.upscaled`.
+                size, see `hyjax.light.relit`.
             run: runs the function that makes it linear.
 
         Raises:
@@ -101,17 +102,17 @@ class View:
         shadow_maps: Sequence[ShadowMap | None] | None = None,
         confidence: Float[Array, "h w 1"] | None = None,
         surface_light: SurfaceLight | None = None,
-        sampling: int = 1,
+        interleave: int = 1,
     ) -> Shaded:
         """Shade the visible surface by a set-up.
 
         Args:
             lights: a set-up, or lights (a single one, too) under the usual reference.
             shadow_maps: one for each light (None: casts no shadow); None for no shadows at all.
-            confidence: how far the shading can be trusted, of each sample; 1 by default, 0 in holes.
+            confidence: how far the shading can be trusted, 1 by default, 0 in holes.
             surface_light: photo's own light and bounces, see `Scene.surface_light`; None for even light and none.
-            sampling: light is evaluated at one pixel in each block of so many by so many, and the shadow views of a
-                soft light with many are shared among such blocks; see `hyjax.core.cascade.largest_sampling`.
+            interleave: the shadow views of a soft light with many are shared among blocks of so many by so many
+                pixels, for what averages over such blocks anyway; see `hyjax.light.shadow_map.visibility`.
 
         Raises:
             InputError: no lights, a light with invalid values, another number of shadow maps than lights,
@@ -122,7 +123,7 @@ class View:
             shadow_maps=shadow_maps,
             confidence=confidence,
             surface_light=surface_light,
-            sampling=sampling,
+            interleave=interleave,
         )
         return shaded
 
@@ -134,7 +135,7 @@ class View:
         shadow_maps: Sequence[ShadowMap | None] | None = None,
         confidence: Float[Array, "h w 1"] | None = None,
         surface_light: SurfaceLight | None = None,
-        sampling: int = 1,
+        interleave: int = 1,
         run: Run = call,
     ) -> Iterator[tuple[str, Any]]:
         """Shade stage by stage: each stage's name with its result, the last one `Shaded`.
@@ -148,49 +149,48 @@ class View:
             raise InputError(
                 f"shade: {len(maps)} shadow maps for {len(setup.lights)} lights; give one each, or None"
             )
-        seen = run(sample_pixels, self.gbuffer, sampling=sampling)
-        illuminance = run(shade_each, seen, setup.lights)
+        illuminance = run(shade_each, self.gbuffer, setup.lights)
         yield "shading", illuminance
-        visibility = visibilities(seen, setup.lights, maps, interleave=sampling, run=run)
+        visibility = visibilities(self.gbuffer, setup.lights, maps, interleave=interleave, run=run)
         yield "visibility", visibility
-        channels = setup, illuminance, visibility, seen.hit
+        channels = setup, illuminance, visibility, self.gbuffer.hit
         if confidence is None:
-            shaded = run(Shaded.of, *channels, sampling=sampling)
+            shaded = run(Shaded.of, *channels)
         else:
-            shaded = Shaded.of(*channels, confidence=confidence, sampling=sampling)
+            shaded = Shaded.of(*channels, confidence=confidence)
         if surface_light is not None:
-            shaded = self._add_surface_light(shaded, surface_light, setup.lights, seen, run)
+            shaded = self.add_surface_light(shaded, surface_light, setup.lights, run=run)
         yield "shaded", shaded
 
-    def add_surface_light(self, shaded: Shaded, light: SurfaceLight, lights: Sequence[Light]) -> Shaded:
+    def add_surface_light(
+        self, shaded: Shaded, light: SurfaceLight, lights: Sequence[Light], *, run: Run = call
+    ) -> Shaded:
         """Add the photo's own light, bounces and emission to a shaded surface.
 
         Args:
             shaded: direct light.
             light: on the vertices of the scan.
             lights: of the shading.
+            run: runs the functions.
 
         Raises:
             InputError: the G-buffer has no triangles.
         """
-        seen = sample_pixels(self.gbuffer, sampling=shaded.sampling)
-        return self._add_surface_light(shaded, light, lights, seen, call)
-
-    def _add_surface_light(
-        self, shaded: Shaded, light: SurfaceLight, lights: Sequence[Light], seen: GBuffer, run: Run
-    ) -> Shaded:
-        """`add_surface_light` with the surface at the samples."""
-        fields = dataclasses.replace(light, emitters=None)
-        shaded = run(add_surface_light, shaded, fields, seen, lights)
+        shaded = run(add_surface_light, shaded, dataclasses.replace(light, emitters=None), self.gbuffer, lights)
         if light.emitters is None or self.pose is None or self.intrinsics is None:
             return shaded
         h, w = self.gbuffer.hit.shape
         if not may_show(light.emitters, (h, w), self.pose, self.intrinsics):
             return shaded
-        camera = jnp.asarray(self.pose, jnp.float32), jnp.asarray(self.intrinsics, jnp.float32)
-        surface, factor = (self.gbuffer, *camera), self.factor
-        if self.full is None or factor == 1:
-            emitting = run(emission, light.emitters, self.frame, *surface)
-        else:
-            emitting = run(upscaled_emission, light.emitters, self.full, self.display, *surface, factor=factor)
-        return dataclasses.replace(shaded, emission=emitting)
+        return dataclasses.replace(shaded, emission=run(emission, light.emitters, *self.picture(run=run)))
+
+    def picture(
+        self, *, run: Run = call
+    ) -> tuple[Float[Array, "h w 3"], Float[Array, "h w"], Float[Array, "4 4"], Float[Array, "3 3"]]:
+        """The picture at full size, linear; the depth that it shows, infinite in holes; pose and intrinsics."""
+        pose, matrix = jnp.asarray(self.pose, jnp.float32), jnp.asarray(self.intrinsics, jnp.float32)
+        if self.full is None or self.factor == 1:
+            return self.frame, self.gbuffer.open_depth, pose, matrix
+        depth = run(upscaled_depth, self.gbuffer, self.full, self.display, factor=self.factor)
+        larger = np.array([[self.factor], [self.factor], [1]], np.float32)
+        return run(to_linear, self.full), depth, pose, matrix * larger

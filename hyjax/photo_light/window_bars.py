@@ -66,7 +66,7 @@ def pane_arrays(windows: Sequence[PhotoWindow], frames: Sequence[Frame], caster:
     for frame, gbuffer in spread(list(zip(small, gbuffers, strict=True)), MEAN_FRAMES):
         linear = finite_or_zero(to_linear(jnp.asarray(frame.image)))
         camera = (jnp.asarray(m, jnp.float32) for m in (frame.camera.pose, frame.camera.intrinsics.matrix))
-        for number, share in enumerate(open_shares(jnp.asarray(panes), bars, linear, gbuffer, *camera)):
+        for number, share in enumerate(open_shares(jnp.asarray(panes), bars, linear, gbuffer.open_depth, *camera)):
             total[number] += np.einsum("hw,hwc->c", share, linear)
             weight[number] += float(share.sum())
     means = np.where((weight > 1.0)[:, None], total / weight[:, None], 1.0).astype(np.float32)

@@ -163,7 +163,6 @@ def relight_run(
             record["lights"] = str(lights) if isinstance(lights, str | Path) else "lights.json"
         for stale in ("run.json", "lights.json", "contact_sheet.png"):
             remove(out / stale)  # of an earlier run, whose pictures are about to be replaced
-        sampling = 1
         if settings.renderer == "webgpu":
             frames = relit_on_device(scene, chosen, setup, settings, configuration, guide, clock, device)
         else:
@@ -180,8 +179,6 @@ def relight_run(
                 shader=cycles(scene, setup, settings, clock, stack) if settings.renderer == "blender" else None,
                 clock=clock,
             )
-            if settings.renderer == "shadow_map":
-                sampling = configuration.light.sampling
             # Blender, and what frames leave to the next, there is once.
             once = settings.video or settings.renderer == "blender"
             frames = relit_frames(scene, chosen, relighter, clock, once=once)
@@ -215,7 +212,7 @@ def relight_run(
             "video": settings.video,
             "guide": guide.name,
             "renderer": settings.renderer,
-            "sampling": sampling,
+            "sampling": configuration.light.sampling,
             "configuration": json.loads(configuration.to_json()),
             "schedule": json.loads(schedule.to_json()),
             "reference_lux": setup.reference_lux,

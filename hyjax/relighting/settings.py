@@ -58,8 +58,8 @@ class RelightSettings(Settings):
     """Renderer of the light: shadow_map; blender: Cycles, which traces every shadow and takes its time; or webgpu:
     whole frames on a graphics processor, by the shaders of an exported page."""
     sampling: int | None = None
-    """Shade one pixel in each block of so many by so many, where the schedule averages over blocks anyway: 2 (the
-    default) shades a quarter of them, 1 all. Paper mode, blender and webgpu shade all."""
+    """Find and repair light at the picture's size over this, where the schedule averages over such blocks anyway: 2
+    (the default) works at half the size, 1 at all of it. So do paper mode, blender and webgpu."""
     save_filters: bool = False
     """Also write each frame's raw and refined filter."""
     save_visibility: bool = False

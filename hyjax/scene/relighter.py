@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from hyjax.choices.table import CHOICES
 from hyjax.configuration import Configuration
+from hyjax.core.cascade import LEAST_SAMPLES
 from hyjax.core.pyramid import downsample, level_shape
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
@@ -22,7 +23,7 @@ from hyjax.guide.edge_weights import configured_edges
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.light_edges import Weights
-from hyjax.light.photo_light import SurfaceLight, direct_channels, with_channels
+from hyjax.light.photo_light import SurfaceLight
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
@@ -77,14 +78,15 @@ def refine(
     run: Run = run_kept,
 ) -> Stages:
     """Stages of the refinement of a frame by a configuration's cascades, see `relight_stages`."""
+    sampled = configuration.sampled()
     return relight_stages(
         lit.view,
         lit.shaded,
         lit.features,
-        configuration.schedule,
-        shadow_schedule=configuration.shadow_schedule,
+        sampled.schedule,
+        shadow_schedule=sampled.shadow_schedule,
         temporal_filter=temporal_filter,
-        mode=configuration.mode,
+        mode=sampled.mode,
         light_edges=lit.light_edges,
         run=run,
     )
@@ -167,7 +169,8 @@ class Relighter:
     @checked_arguments
     def scale(self, camera: Camera) -> int:
         """Factor by which the frame of a camera is smaller when it is relit, see `Configuration.scale_of`."""
-        return self.configuration.scale if self._whole else self.configuration.scale_of(camera.intrinsics.shape)
+        sampled = self.configuration.sampled()
+        return sampled.scale if self._whole else sampled.scale_of(camera.intrinsics.shape)
 
     @checked_arguments
     def gbuffer(self, camera: Camera, *, rays: bool = False) -> GBuffer:
@@ -181,16 +184,11 @@ class Relighter:
         return self._view(opened, self.gbuffer(opened.camera))
 
     @checked_arguments
-    def shade(self, view: View, *, sampling: int | None = None) -> Shaded:
-        """Light on the surface in a view.
-
-        Args:
-            view: of the place.
-            sampling: in the place of the configuration's, see `View.shade`.
-        """
+    def shade(self, view: View) -> Shaded:
+        """Light on the surface in a view of the place."""
         if self._shader is not None:
             raise InputError("shade: the light is made of whole frames here; use stages or relit")
-        *_, (_, shaded) = self._shade_stages(view, sampling)
+        *_, (_, shaded) = self._shade_stages(view)
         return shaded
 
     @checked_arguments
@@ -223,7 +221,8 @@ class Relighter:
         for stage, result in self._lit_stages(frame, gbuffer, view):
             yield stage, result
         if self._video is not None:
-            remember = self._video.filter(result.view, self.setup, result.features, self.configuration.schedule)
+            schedule = self.configuration.sampled().schedule
+            remember = self._video.filter(result.view, self.setup, result.features, schedule)
         yield from refine(result, self.configuration, temporal_filter=remember)
 
     @checked_arguments
@@ -241,14 +240,14 @@ class Relighter:
             view = self._view(opened, gbuffer)
             yield "view", view
         if self._shader is None:
-            for stage, shaded in self._shade_stages(view):
+            interleave = (
+                1 if self.configuration.light.sampling == 1 else LEAST_SAMPLES
+            )  # cells average over so many
+            for stage, shaded in self._shade_stages(view, interleave):
                 yield stage, shaded
-            light = self._light()[-1]
-            direct = direct_channels(self.setup.lights, light is not None and light.bounced is not None)
-            if len(direct) < len(self.setup.lights):  # light that gives nothing needs no cascade
-                shaded = run_kept(with_channels, shaded, channels=direct)
         else:
-            view, shaded = self._shader(view, opened.camera, self._light()[-1])
+            camera = scaled(opened.camera, self.scale(opened.camera))
+            view, shaded = self._shader(view, camera, self._light()[-1])
             yield "shaded", shaded
         make = self.guide.features
         carried = self._carried
@@ -267,10 +266,9 @@ class Relighter:
         """Arrays on the device of this relighter, where it has one of its own."""
         return arrays if self._device is None else jax.device_put(arrays, self._device)
 
-    def _shade_stages(self, view: View, sampling: int | None = None) -> Stages:
+    def _shade_stages(self, view: View, interleave: int = 1) -> Stages:
         _, setup, maps, light = self._light()
-        sampling = self.configuration.light.sampling if sampling is None else sampling
-        return view.shade_stages(setup, shadow_maps=maps, surface_light=light, sampling=sampling, run=run_kept)
+        return view.shade_stages(setup, shadow_maps=maps, surface_light=light, interleave=interleave, run=run_kept)
 
     def _light(self) -> tuple[int | None, LightSetup, Maps, SurfaceLight | None]:
         """Lights with their shadow maps and the light on the surface as it is now."""

@@ -272,7 +272,6 @@ class Scene:
         shadows: bool = True,
         keep_photo_light: bool = False,
         occluders: Occluders = "completed",
-        sampling: int = 1,
     ) -> Shaded:
         """Light on the surface in a view.
 
@@ -282,14 +281,13 @@ class Scene:
             shadows: whether lights cast shadows.
             keep_photo_light: whether to leave the light that the frames were taken under, and bounces out.
             occluders: what throws them.
-            sampling: see `View.shade`.
 
         Raises:
             InputError: no such set-up, or it keeps sources of a photo whose light is kept whole.
         """
         configuration = Configuration(light=LightOptions(photo_light="kept" if keep_photo_light else "divided"))
         relighter = Relighter(self, lights, configuration, shadows=shadows, occluders=occluders)
-        return relighter.shade(view, sampling=sampling)
+        return relighter.shade(view)
 
     @checked_arguments
     def relit(self, frame: int | Frame, lights: AnyLights, configuration: AnyConfiguration = None) -> Relit:

@@ -17,13 +17,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hyjax.configuration import Configuration
+from hyjax.core.cascade import LEAST_SAMPLES
 from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
 from hyjax.guide.choose import FrameGuide
 from hyjax.light.emission import shine, source_pixels
-from hyjax.light.gbuffer import GBuffer, sample_pixels
+from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.photo_light import (
     PhotoLight,
@@ -41,7 +42,7 @@ from hyjax.light.shadow_map import ShadowMap, visibility
 from hyjax.light.view import View
 from hyjax.pipeline import refine_illuminance, refine_visibility
 from hyjax.scene.photo_light import ScenePhotoLight
-from hyjax.scene.relighter import casters, scaled
+from hyjax.scene.relighter import casters
 from hyjax.tour.editable_scene import EditableScene, SceneParts
 from hyjax.tour.furniture import Part, merge_gbuffers
 from hyjax.tour.layers import (
@@ -71,7 +72,7 @@ class Arrangement:
 
     Attributes:
         coarse: whether shadows of a light were coarse.
-        configuration: that it is lit by.
+        configuration: that it is lit by, at the size that is worked at, see `Configuration.sampled`.
 
     Args:
         caches: shared by the pictures of a tour.
@@ -93,9 +94,10 @@ class Arrangement:
     ) -> None:
         self.parts, self.coarse = scene.apply(plan), False
         self._visible: tuple[Hashable, ...] = ()  # key of the visibility of what was shaded last
-        self._scene, self._caches, self._photo, self.configuration = scene, caches, photo, configuration
+        self._scene, self._caches, self._photo, self.configuration = scene, caches, photo, configuration.sampled()
         self._draft, self._cancelled, shadows = draft, cancelled, configuration.shadows
-        self._sampling, self._map_size = configuration.light.sampling, (shadows.map_scale, shadows.views)
+        self._interleave = 1 if configuration.light.sampling == 1 else LEAST_SAMPLES
+        self._map_size = shadows.map_scale, shadows.views
 
     def smaller(self, factor: int) -> "Arrangement":
         """The same, lit at a part of the frames' size."""
@@ -165,26 +167,22 @@ class Arrangement:
         light: SurfaceLight | None,
     ) -> tuple[View, Shaded]:
         """Light on a frame; with the first arguments given, a `Shader`."""
-        sampling = self._sampling
         key = self._key(frame)
-        samples = self._caches.frames(
-            ("samples", key, self.parts.keys), lambda: run_kept(sample_pixels, view.gbuffer, sampling=sampling)
-        )
-        shaded = self.shade_samples(samples, setup, light, key)
+        shaded = self.shade_surface(view.gbuffer, setup, light, key)
         if light is None:
             return view, shaded
         kept = "photographed", key, self.configuration.schedule.to_json()
         photographed = self._caches.frames(kept, lambda: self._photographed(view, camera, light, guide))
         emission = None
         if light.emitters is not None and photographed.sources is not None:
-            emission = shine(light.emitters, photographed.sources, view.frame)
+            emission = shine(light.emitters, photographed.sources, view.picture(run=run_kept)[0])
         photo_light, refined = photographed.photo_light, photographed.refined
         return view, dataclasses.replace(
             shaded, photo_light=photo_light, refined_photo_light=refined, emission=emission
         )
 
-    def shade_samples(
-        self, samples: GBuffer, setup: LightSetup, light: SurfaceLight | None, key: Hashable = None
+    def shade_surface(
+        self, surface: GBuffer, setup: LightSetup, light: SurfaceLight | None, key: Hashable = None
     ) -> Shaded:
         """Direct and bounced light on surface points."""
         bounces = light is not None and light.bounced is not None
@@ -192,14 +190,14 @@ class Arrangement:
         casting = casters(self, setup.lights, self.configuration.shadows.least_share)
         direct = direct_channels(setup.lights, bounces)
         lit = [setup.lights[place] for place in direct]
-        made = [self._layer(setup.lights[place], samples, key, casting[place]) for place in direct]
+        made = [self._layer(setup.lights[place], surface, key, casting[place]) for place in direct]
         if key is not None:
             shining = (float(getattr(lamp, lamp.STRENGTH)) > 0 for lamp in lit)
             self._visible = *(name for name, _ in made), *shining
         layers = [(lamp, layer) for lamp, (_, layer) in zip(lit, made, strict=True)]
-        shaded = stack_layers(layers, uniform, samples.hit, setup.reference_lux)
-        indirect = None if light is None else indirect_on_pixels(light, samples)
-        return dataclasses.replace(shaded, bounced=indirect, sampling=self._sampling)
+        shaded = stack_layers(layers, uniform, surface.hit, setup.reference_lux)
+        indirect = None if light is None else indirect_on_pixels(light, surface)
+        return dataclasses.replace(shaded, bounced=indirect)
 
     def run(self, function: Callable[..., Any], *arrays: Any, **static: Any) -> Any:
         """Result of a stage of the refinement; brightness and colour leave that of the shadow pass as it was."""
@@ -227,24 +225,24 @@ class Arrangement:
         return any(self.is_coarse(light, *self._map_size) and not is_kept(light) for light in setup.lights)
 
     def _key(self, frame: int) -> Hashable:
-        """Key of light at a frame's samples."""
-        return frame, self._sampling, self.configuration.scale
+        """Key of light on a frame's surface."""
+        return frame, self._interleave, self.configuration.scale
 
-    def _layer(self, light: Light, samples: GBuffer, key: Hashable, casts: bool) -> tuple[Hashable, Layer]:
+    def _layer(self, light: Light, surface: GBuffer, key: Hashable, casts: bool) -> tuple[Hashable, Layer]:
         """Illuminance of a light of strength 1, and its visibility, with their key.
 
-        Without a key nothing is kept, and each sample has all of a soft shadow: no cascade joins it with others.
+        Without a key nothing is kept, and each pixel has all of a soft shadow: no cascade joins it with others.
         """
-        size, interleave = self._map_size, 1 if key is None else self._sampling
+        size, interleave = self._map_size, 1 if key is None else self._interleave
         name = geometry_key(light), key, self.parts.keys, casts
         coarse = casts and (name, False) not in self._caches.layers and self.is_coarse(light, *size)
         self.coarse |= coarse
 
         def make() -> Layer:
             unit, shadow_map = light.normalized(), self._shadow_map(light, size, coarse) if casts else None
-            lux = run_kept(shade_each, samples, [unit])[..., 0]
+            lux = run_kept(shade_each, surface, [unit])[..., 0]
             return jax.block_until_ready(
-                (lux, run_kept(visibility, samples, unit, shadow_map, interleave=interleave))
+                (lux, run_kept(visibility, surface, unit, shadow_map, interleave=interleave))
             )
 
         return (name, coarse), make() if key is None else self._caches.layers((name, coarse), make)
@@ -301,20 +299,16 @@ class Arrangement:
         self, view: View, camera: Camera, light: SurfaceLight, guide: FrameGuide
     ) -> PhotographedFrame:
         """Light of a frame when it was photographed."""
-        sampling = self._sampling
-        gbuffer = self.scanned(scaled(camera, self.configuration.scale))  # a relighter with a shader works at that
-        samples = run_kept(sample_pixels, gbuffer, sampling=sampling)
-        hit = samples.hit[..., None]
-        photo_light = jnp.where(hit, on_pixels(light.photo_light, light.faces, samples), 1.0)
+        gbuffer = self.scanned(camera)
+        hit = gbuffer.hit[..., None]
+        photo_light = jnp.where(hit, on_pixels(light.photo_light, light.faces, gbuffer), 1.0)
         hit_weight, one = hit.astype(jnp.float32), jnp.ones(3)
-        fields = Shaded(
-            photo_light, jnp.ones_like(photo_light), jnp.eye(3), hit_weight, np.float32(1.0), one, sampling=sampling
-        )
+        fields = Shaded(photo_light, jnp.ones_like(photo_light), jnp.eye(3), hit_weight, np.float32(1.0), one)
         refined = run_kept(refine_illuminance, fields, guide.features(view.display), self.configuration.schedule)
         sources = None
         if light.emitters is not None and view.pose is not None and view.intrinsics is not None:
-            matrices = (jnp.asarray(matrix, jnp.float32) for matrix in (view.pose, view.intrinsics))
-            sources = source_pixels(light.emitters, view.frame, gbuffer, *matrices)
+            seen = dataclasses.replace(view, gbuffer=gbuffer)
+            sources = source_pixels(light.emitters, *seen.picture(run=run_kept))
         return jax.block_until_ready(PhotographedFrame(photo_light, refined, sources))
 
     def _seen(self, camera: Camera, parts: SceneParts) -> GBuffer:

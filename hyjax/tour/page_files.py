@@ -72,7 +72,9 @@ class PageFiles:
         """Whether visitors' GPUs may draw: no surface that changes, and nothing that they do not follow."""
         if self._engine == "server":
             return False
-        return self.as_pages and (self._engine == "visitor" or self._configuration == self._followed)
+        light = self._configuration.light.replace(sampling=1)  # pages work at full size, and show no less
+        whole = dataclasses.replace(self._configuration, light=light)
+        return self.as_pages and (self._engine == "visitor" or whole == self._followed)
 
     @property
     def as_pages(self) -> bool:

@@ -199,9 +199,11 @@ class Renderer:
             self.scene, plan, self._caches, self.photo_light, configuration, draft=draft, cancelled=cancelled
         )
         small = draft and viewpoint.shown == "relit" and self._compiled and configuration.mode != "paper"
-        if small := small and (("view", index, configuration.scale) not in keep or own.any_coarse(setup, index)):
+        if small := small and (
+            ("view", index, own.configuration.scale) not in keep or own.any_coarse(setup, index)
+        ):
             own = own.smaller(DRAFT_FACTOR)
-            configuration = own.configuration
+        configuration = own.configuration
         guide = KeptGuide(self.guide, functools.partial(keep, ("guide", index, configuration.scale)))
         shader = functools.partial(own.shade, index, guide, setup)
         relighter = Relighter(own, setup, configuration, guide=guide, shader=shader, clock=clock)
@@ -226,7 +228,7 @@ class Renderer:
             if viewpoint.shown == "photo":
                 picture = keep(("photo", index), lambda: to_bytes(frame.image))
             else:
-                picture = shown_stage(viewpoint.shown, frame, lit, result, viewpoint.schedule)
+                picture = shown_stage(viewpoint.shown, frame, lit, result, configuration.schedule)
         times = {stage: 1e3 * values[-1] for stage, values in clock.seconds.items()}
         self._compiled |= not small
         reach = self._reach(plan, lit.shaded)
@@ -268,7 +270,7 @@ class Renderer:
                 photo = self.photo_light.estimate.light
                 albedo = photo.mean * on_pixels(photo.albedo[: photo.transport.vertices], light.faces, seen)
         with clock("shaded"):
-            shaded = own.shade_samples(seen, setup, light)
+            shaded = own.shade_surface(seen, setup, light)
             linear = np.asarray(lit_surface(shaded, albedo, setup.reference_lux))
         with clock("show"):
             image = np.asarray(to_display(linear))

@@ -111,7 +111,7 @@ def with_uncovered(
     for row, colors in zip(rows, shown.reshape(-1, 1, ROW, 3), strict=True):
         divisor = 1.0 if light is None else on_pixels(light.photo_light, light.faces, row)
         reflectance = np.where(np.isnan(colors), np.float32(GREY), colors / divisor)
-        shaded = place.shade_samples(row, setup, light)
+        shaded = place.shade_surface(row, setup, light)
         lit.append(np.asarray(lit_surface(shaded, reflectance, setup.reference_lux))[0])
     drawn = np.zeros((*chosen.shape, 3), np.float32)
     drawn[chosen] = np.concatenate(lit)[: len(color)]

@@ -105,7 +105,7 @@ def relaxed_choices(
     held = all(level.fidelity is not None for level in own.levels)
     if not held or own.pooling != "guide" or own.upsampling != "guide" or own.norm != "l2" or not factors:
         return choices  # the relaxation knows the form of our presets alone
-    objective = frame_objective(configuration, judge, cases, factors)
+    objective = frame_objective(configuration, judge, cases, tuple(f // sampling for f in factors))
     start = relaxed_of(own, factors)
     step = tuple(price[f] for f in factors)
     cost = CostModel(0.0, tuple(LEVEL_STEPS * x for x in step), step, (0.0,) * len(factors))
@@ -164,7 +164,7 @@ def with_point(choices: Choices, space: Space, point: RelaxedSchedule, factors: 
 def frame_objective(
     configuration: Configuration, judge: Judge, cases: Sequence[FrameCase], factors: tuple[int, ...]
 ) -> FrameObjective:
-    """Objective on cases."""
+    """Objective on cases; the factors are those of the size that frames are relit at."""
     lit = [lit_case(configuration, judge, case) for case in cases]
     most = max(frame.shaded.illuminance.shape[-1] for frame, _, _ in lit)
     frames, gains, targets, prepared = [], [], [], []
@@ -176,10 +176,10 @@ def frame_objective(
         targets.append((jnp.asarray(target.picture), jnp.asarray(target.valid)))
         shaded = frame.shaded
         channels = jnp.concatenate([shaded.illuminance, *shaded.surface_fields], axis=-1)
-        prepared.append(_prepare(channels, shaded.confidence, frame.features, factors, shaded.sampling))
+        prepared.append(_prepare(channels, shaded.confidence, frame.features, factors))
     return FrameObjective(
         prepared, factors, frames, gains, targets, judge.scenes[cases[0][0]].judged(configuration), judge.loss.value
     )
 
 
-_prepare = jax.jit(prepare_channels, static_argnums=(3, 4))
+_prepare = jax.jit(prepare_channels, static_argnums=3)

@@ -148,18 +148,17 @@ def prepare(case: Case, factors: tuple[int, ...]) -> Prepared:
     """Everything about a case that the search needs again and again."""
     picture = filter_colors(case.shaded), case.frame, display_unclipped(case.target, case.frame), case.valid
     shaded = case.shaded
-    return prepare_channels(shaded.illuminance, shaded.confidence, case.guide, factors, 1, *picture)
+    return prepare_channels(shaded.illuminance, shaded.confidence, case.guide, factors, *picture)
 
 
 def prepare_channels(
-    channels: Float[Array, "sh sw c"],
-    confidence: Float[Array, "sh sw 1"],
+    channels: Float[Array, "h w c"],
+    confidence: Float[Array, "h w 1"],
     guide: Float[Array, "h w f"],
     factors: tuple[int, ...],
-    sampling: int = 1,
     *picture: Array,
 ) -> Prepared:
-    """Parts of a case that no candidate changes, of channels at one pixel in each `sampling` x `sampling` block.
+    """Parts of a case that no candidate changes.
 
     Args:
         picture: colours, frame, target and where it is valid, for a loss.
@@ -168,11 +167,9 @@ def prepare_channels(
     weight = jnp.where(usable, confidence.astype(channels.dtype), 0.0)  # as `cascade_known` has it
     weighted = jnp.concatenate([jnp.where(weight > 0, channels, 0.0) * weight, weight], axis=-1)
     total = jnp.sum(weighted, axis=(0, 1))
-    height, width = guide.shape[:2]
-    whole = jnp.repeat(jnp.repeat(weighted, sampling, 0), sampling, 1)[:height, :width]
     guides = tuple(downsample(guide, factor) for factor in factors)
     return Prepared(
-        entries=(*(downsample(weighted, factor // sampling) for factor in factors), whole),
+        entries=(*(downsample(weighted, factor) for factor in factors), weighted),
         guides=(*guides, guide),
         distances=tuple(guide_distance(guide) for guide in guides),
         mean=total[:-1] / jnp.maximum(total[-1], TINY),

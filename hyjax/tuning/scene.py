@@ -12,7 +12,7 @@ from hyjax.configuration import Configuration
 from hyjax.data.capture import Capture
 from hyjax.data.truth_room import TruthCapture, load_truth_room
 from hyjax.light.color import to_display
-from hyjax.light.relit import relit_picture
+from hyjax.light.relit import filter_and_light, relit_picture
 from hyjax.scene.alignment import aligned
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
@@ -89,8 +89,8 @@ class TuningScene:
         view = self.accurate.view(index)
         plain = Configuration().with_choices({"sampling": 1, "photo_light": "kept"})
         shaded = Relighter(self.accurate, setup, plain, occluders="surface", whole=True).shade(view)
-        illuminance, visibility = shaded.illuminance, shaded.visibility  # nothing is refined
-        _, image = run_kept(relit_picture, view.frame, shaded, illuminance, visibility)
+        raw = run_kept(filter_and_light, shaded, shaded.illuminance, shaded.visibility)  # nothing is refined
+        _, image = run_kept(relit_picture, view, *raw, None, np.float32(1.0))
         return Target(np.asarray(to_display(image)), np.asarray(view.gbuffer.hit), False)
 
 

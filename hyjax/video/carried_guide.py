@@ -6,7 +6,7 @@ from collections.abc import Callable
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hyjax.core.refine import cascade_known
+from hyjax.core.refine import FILLING_PRESET, cascade_known
 from hyjax.core.schedule import Schedule
 from hyjax.light.view import View
 from hyjax.util.arguments import checked_arguments
@@ -14,8 +14,6 @@ from hyjax.util.errors import InputError, shown
 from hyjax.util.tracing import concrete
 from hyjax.video.temporal_filter import Memory, fill_depth, recall
 
-FILLING_PRESET = "hyjax"
-"""Preset that fills features without an earlier frame, under the frame itself."""
 LEAST_FOUND_SHARE = 0.6
 """Least share of a frame's points seen before; with fewer the network runs again."""
 

@@ -44,7 +44,7 @@ def emitters(sent: np.ndarray, kept: float = 0.0, panes: np.ndarray = PANES, lam
 
 def found(source: Emitters, frame: jnp.ndarray, gbuffer: GBuffer):  # type: ignore[no-untyped-def]
     pose, matrix = (jnp.asarray(a, jnp.float32) for a in (CAMERA.pose, LENS.matrix))
-    return emission(source, frame, gbuffer, pose, matrix)
+    return emission(source, frame, gbuffer.open_depth, pose, matrix)
 
 
 def test_a_rectangle_in_a_window_makes_its_pane_shine() -> None:

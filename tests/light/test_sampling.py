@@ -1,4 +1,4 @@
-"""Light at some pixels only: what a cascade takes in by blocks is the same from their samples."""
+"""Frames that are relit at a part of their size: schedules, shadow views that blocks share, sources in sight."""
 
 import dataclasses
 from typing import Any
@@ -11,15 +11,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import hyjax
-from hyjax.core.cascade import cascade, entries, largest_sampling
-from hyjax.core.refine import cascade_known, fill_visibility, shadow_pass
+from hyjax.configuration import Configuration
+from hyjax.core.cascade import entries, largest_sampling, sampled_schedule
+from hyjax.core.refine import fill_visibility
 from hyjax.core.schedule import PRESETS, Schedule
 from hyjax.light.emission import Emitters, may_show, source_pixels
-from hyjax.light.gbuffer import GBuffer, sample_pixels
+from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import PointLight, RectLight
 from hyjax.light.panes import Bars
 from hyjax.light.shadow_map import ShadowMap, visibility
-from hyjax.util.errors import InputError
 from hyjax.util.geometry import angle
 
 SIZES = st.sampled_from([(16, 24), (17, 9), (33, 30)])
@@ -39,30 +39,32 @@ def gbuffer_of(position: np.ndarray, normal: np.ndarray, hit: np.ndarray) -> GBu
     return GBuffer(*(jnp.asarray(x) for x in (position, normal, depth, hit)))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["hyjax", "hyjax-scan-shadow", "paper-50"])
-@settings(deadline=None, max_examples=6)
-@given(blocks=st.sampled_from([(8, 12), (9, 5)]), seed=SEEDS)
-def test_a_picture_of_blocks_is_told_by_one_pixel_of_each(name: str, blocks: tuple[int, int], seed: int) -> None:
-    schedule, k = Schedule.preset(name), 2
-    y, guide = random(seed, *blocks, 2), random(seed + 1, k * blocks[0], k * blocks[1], 3)
-    known = random(seed + 2, *blocks, 1) > 0.3
-    whole = cascade(jnp.asarray(repeat(y, k)), jnp.asarray(guide), schedule)
-    assert np.allclose(cascade(jnp.asarray(y), jnp.asarray(guide), schedule, sampling=k), whole, atol=2e-6)
-    whole = cascade_known(jnp.asarray(repeat(y, k)), jnp.asarray(repeat(known, k)), jnp.asarray(guide), schedule)
-    sampled = cascade_known(jnp.asarray(y), jnp.asarray(known), jnp.asarray(guide), schedule, sampling=k)
-    assert np.allclose(sampled, whole, atol=2e-5)
-    whole = shadow_pass(jnp.asarray(repeat(y, k)), jnp.asarray(guide), schedule)
-    assert np.allclose(shadow_pass(jnp.asarray(y), jnp.asarray(guide), schedule, sampling=k), whole, atol=2e-6)
+@given(
+    factors=st.lists(st.integers(2, 4), min_size=1, max_size=4),
+    finest=st.sampled_from([1, 2, 3, 4]),
+    sampling=st.integers(1, 4),
+)
+def test_cells_of_a_smaller_picture_cover_as_much(factors: list[int], finest: int, sampling: int) -> None:
+    """As far as its pixels allow; and the schedule can be run."""
+    levels = [(int(finest * np.prod(factors[k:])), 1 + k) for k in range(len(factors) + 1)]
+    schedule = Schedule.uniform(levels)
+    own = sampled_schedule(schedule, sampling).check()
+    kept = dict(levels)
+    for level in own.levels:
+        whole = level.factor * sampling
+        assert kept[whole] == level.steps if whole in kept else level.factor == 1
+    expected = {factor for factor in kept if factor % sampling == 0}
+    assert expected <= {level.factor * sampling for level in own.levels}
+    assert sampled_schedule(schedule, 1).to_json() == schedule.to_json()
 
 
 @settings(deadline=None, max_examples=10)
 @given(size=SIZES, seed=SEEDS)
 def test_filling_keeps_what_is_known(size: tuple[int, int], seed: int) -> None:
     h, w = size
-    raw, guide = random(seed, -(-h // 2), -(-w // 2), 2), random(seed + 1, h, w, 3)
+    raw, guide = random(seed, h, w, 2), random(seed + 1, h, w, 3)
     known = random(seed + 2, *raw.shape) > 0.5
-    filled = np.asarray(fill_visibility(jnp.asarray(raw), jnp.asarray(known), jnp.asarray(guide), sampling=2))
+    filled = np.asarray(fill_visibility(jnp.asarray(raw), jnp.asarray(known), jnp.asarray(guide)))
     assert np.array_equal(filled[known], raw[known])
     assert filled.min() >= 0.0 and filled.max() <= raw.max() + 1e-5
 
@@ -71,31 +73,9 @@ def test_a_schedule_says_how_sparse_its_picture_may_be() -> None:
     ours, shadow = Schedule.preset("hyjax"), Schedule.preset("hyjax-scan-shadow")
     assert entries(ours) == [16, 8, 4] and entries(shadow) == [4]
     assert [largest_sampling([ours, shadow], most) for most in (1, 2, 4, 9)] == [1, 2, 2, 2]
-    assert largest_sampling([Schedule.preset("paper-50")], 16) == 2, "for the filling of unseen visibility"
-    for bad in (0, -1, 2.0, True):
-        with pytest.raises(InputError, match=r"^sampling: must be a whole number"):
-            cascade(jnp.ones((4, 4, 1)), jnp.ones((8, 8, 3)), ours, sampling=bad)  # type: ignore[arg-type]
+    assert largest_sampling([Schedule.preset("paper-50")], 16) == 8, "where a picture enters"
     for name in PRESETS:
         assert largest_sampling([Schedule.preset(name)], 1) == 1
-    with pytest.raises(InputError, match=r"at factor 1, which is no multiple of 2"):
-        cascade(jnp.ones((4, 4, 1)), jnp.ones((8, 8, 3)), Schedule.preset("hyjax-shadow"), sampling=2)
-    with pytest.raises(InputError, match="the filter 2 times smaller"):
-        cascade(jnp.ones((8, 8, 1)), jnp.ones((8, 8, 3)), ours, sampling=2)
-
-
-@settings(deadline=None, max_examples=15)
-@given(size=SIZES, k=st.integers(1, 4))
-def test_samples_lie_in_their_blocks_and_spread_evenly(size: tuple[int, int], k: int) -> None:
-    h, w = size
-    rows, columns = np.indices(size)
-    position = np.stack([rows, columns, np.zeros(size)], axis=-1).astype(np.float32)
-    sampled = sample_pixels(gbuffer_of(position, position, np.ones(size, bool)), sampling=k)
-    row, column = np.moveaxis(np.asarray(sampled.position[..., :2]), -1, 0)
-    i, j = np.indices(row.shape)
-    assert row.shape == (-(-h // k), -(-w // k))
-    assert (np.minimum(row // k, i) == i).all() and (column // k == j).all()
-    if h >= k * k and w >= k * k:
-        assert len(np.unique(row[:k, :k])) == len(np.unique(column[:k, :k])) == k * k
 
 
 @settings(deadline=None, max_examples=8)
@@ -179,24 +159,20 @@ def test_what_all_views_say_is_dark_is_not_lit(seed: int, size: tuple[int, int])
 
 @pytest.mark.slow
 def test_a_relit_frame_hardly_changes() -> None:
-    """Quarter of the pixels, quarter of the views: what a smooth room shows stays."""
+    """At half its size, with a quarter of the views: what a smooth room shows stays."""
     from hyjax.data.builtin_room import load_room
 
     room = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
     scene = hyjax.Scene.open(hyjax.SceneSettings(), capture=room)
-    view, schedule = scene.view(0), Schedule.preset("hyjax")
     pictures = []
     for sampling in (1, 2):
-        shaded = scene.shade(view, "noon-window", sampling=sampling)
-        assert shaded.illuminance.shape[:2] == (120 // sampling, 160 // sampling)
-        relit = hyjax.relight(view, shaded, view.display, schedule)
-        assert relit.unrefined.shape == relit.shading.shape == view.frame.shape
+        relighter = hyjax.Relighter(scene, "noon-window", Configuration().with_choices({"sampling": sampling}))
+        assert relighter.view(0).frame.shape[:2] == (120 // sampling, 160 // sampling)
+        relit = relighter.relit(0)
+        assert relit.unrefined.shape == relit.shading.shape == relit.image.shape == (120, 160, 3)
         pictures.append(np.asarray(hyjax.to_display(relit.image)))
     difference = pictures[0] - pictures[1]
-    assert 0 < np.sqrt((difference**2).mean()) < 0.01
-    with pytest.raises(InputError, match="sampling=1"):
-        sparse = scene.shade(view, "noon-window", keep_photo_light=True, sampling=2)
-        hyjax.relight(view, sparse, view.display, schedule, mode="paper")
+    assert 0 < np.sqrt((difference**2).mean()) < 0.02
 
 
 @settings(deadline=None, max_examples=60)
@@ -218,7 +194,7 @@ def test_sources_that_cannot_show_do_not(seed: int) -> None:
         jnp.zeros((h, w, 3)), jnp.zeros((h, w, 3)), jnp.zeros((h, w)), jnp.zeros((h, w), bool)
     )  # nothing stands before the sources
     camera = jnp.asarray(pose), jnp.asarray(intrinsics)
-    shown = bool((source_pixels(emitters, jnp.ones((h, w, 3)), nothing, *camera).weight > 0).any())
+    shown = bool((source_pixels(emitters, jnp.ones((h, w, 3)), nothing.open_depth, *camera).weight > 0).any())
     assert may_show(emitters, (h, w), pose, intrinsics) or not shown
 
 

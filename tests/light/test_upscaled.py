@@ -14,7 +14,7 @@ from hyjax import GBuffer, InputError, Relit, Schedule, Shaded, View, relight, t
 from hyjax.core.pyramid import downsample, level_shape
 from hyjax.core.upsampling import guided_upsample
 from hyjax.light.compositing import composite
-from hyjax.light.emission import Emission, Emitters, upscaled_emission
+from hyjax.light.emission import Emission, Emitters
 from hyjax.light.emission import emission as emission_of
 from hyjax.light.panes import Bars
 
@@ -127,16 +127,20 @@ def test_a_source_has_the_border_of_a_picture_at_full_size() -> None:
 
     full, pose = jnp.ones((height, width, 3)), jnp.eye(4)
     matrix = np.array([[80.0, 0, 45], [0, 80, 30], [0, 0, 1]], np.float32)
-    display, small = downsample(full, factor), jnp.asarray(matrix / np.array([[factor], [factor], [1]]))
+    small = jnp.asarray(matrix / np.array([[factor], [factor], [1]]), jnp.float32)
     seen = level_shape((height, width), factor)
-    found = upscaled_emission(emitters, full, display, wall(seen), pose, small, factor=factor)
-    whole = emission_of(emitters, full, wall((height, width)), pose, jnp.asarray(matrix))
+    whole = emission_of(emitters, full, wall((height, width)).open_depth, pose, jnp.asarray(matrix))
     assert 20 < float(whole.weight.sum()) < 1000
+
+    def drawn(picture: Float[Array, "h w 3"], surface: GBuffer) -> Emission:
+        view = View.of(downsample(picture, factor), surface, pose=pose, intrinsics=small, full=picture)
+        return emission_of(emitters, *view.picture())
+
+    found = drawn(full, wall(seen))
     for field in dataclasses.fields(Emission):
         np.testing.assert_allclose(getattr(found, field.name), getattr(whole, field.name), atol=1e-5)
     near = dataclasses.replace(wall(seen), depth=jnp.where(jnp.arange(seen[1]) < 16, 1.0, 2.5) * jnp.ones(seen))
-    bright = full.at[:, :48].set(0.9)  # what stands before the left of the lamp
-    hidden = upscaled_emission(emitters, bright, downsample(bright, factor), near, pose, small, factor=factor)
+    hidden = drawn(full.at[:, :48].set(0.9), near)  # what stands before the left of the lamp
     assert not hidden.weight[:, :48].any()
     np.testing.assert_allclose(hidden.weight[:, 48:], whole.weight[:, 48:], atol=1e-5)
 

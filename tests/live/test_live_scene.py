@@ -49,11 +49,10 @@ def test_frames_are_relit_as_the_surface_grows(seen: list[Frame]) -> None:
     scene = LiveScene(voxel=0.05)
     relit = relit_as_they_come(scene, seen)
     assert scene.revision == 2, "after each sixth frame"
-    view = scene.view(seen[-1])
-    shaded = view.shade(
-        LIGHTS, shadow_maps=scene.shadow_maps(LIGHTS), sampling=Configuration.of(SCHEDULE).light.sampling
-    )
-    whole = hyjax.relight(view, shaded, view.display, SCHEDULE)
+    own = Configuration.of(SCHEDULE).sampled()
+    view = hyjax.Relighter(scene, LIGHTS, SCHEDULE).view(seen[-1])
+    shaded = view.shade(LIGHTS, shadow_maps=scene.shadow_maps(LIGHTS), interleave=2)
+    whole = hyjax.relight(view, shaded, view.display, own.schedule, shadow_schedule=own.shadow_schedule)
     np.testing.assert_array_equal(whole.image, relit[-1])
     assert float(view.gbuffer.hit.mean()) > 0.6 and len(scene.mesh.faces) > 1000
     again = relit_as_they_come(LiveScene(voxel=0.05), seen)

@@ -147,7 +147,7 @@ def test_bars_do_not_shine() -> None:
     pane, *rest = (jnp.asarray(a, jnp.float32) for a in (pane, np.zeros((0, 4)), *light))
     own = Emitters(pane, bars, *rest)
     camera = (jnp.asarray(m, jnp.float32) for m in (frame.camera.pose, LENS.matrix))
-    weight = np.asarray(source_pixels(own, jnp.asarray(frame.image), gbuffer, *camera).weight)[120, :, 0]
+    weight = np.asarray(source_pixels(own, jnp.asarray(frame.image), gbuffer.open_depth, *camera).weight)[120, :, 0]
     # A pixel is 1.15 cm wide there: the bar is some nine pixels, in the middle.
     assert (weight[157:163] == 0).all()
     assert (weight[100:154] == 1).all()
@@ -162,7 +162,7 @@ def test_burnt_out_bars_are_white_paint_at_most() -> None:
     picture = jnp.asarray(frame.image)
     for kept, least in ((0.0, 0.95 / (0.8 * 0.5)), (0.3, 0.0)):
         light = jnp.ones((1, 3)), jnp.full((1, 3), kept), jnp.full(3, 0.5), jnp.full((1, 3), 0.6)
-        found = emission(Emitters(pane, bars, jnp.zeros((0, 4)), *light), picture, gbuffer, *camera)
+        found = emission(Emitters(pane, bars, jnp.zeros((0, 4)), *light), picture, gbuffer.open_depth, *camera)
         frame_light = np.asarray(found.frame_light)
         np.testing.assert_allclose(frame_light[120, 158:162], least, rtol=1e-5)
         assert (frame_light[120, 100:154] == 0).all() and (frame_light[:10] == 0).all()

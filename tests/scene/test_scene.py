@@ -21,6 +21,7 @@ from hyjax import (
     relight_capture,
 )
 from hyjax import configuration as configuration_module
+from hyjax.choices.options import LightOptions
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Capture, Frame
@@ -222,7 +223,7 @@ def test_named_lights_come_from_the_windows_of_a_file(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("casts")
 def test_large_frames_are_relit_at_a_smaller_size(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene(Box(), box())
-    kept = Configuration().with_choices({"photo_light": "kept"})
+    kept = Configuration().with_choices({"photo_light": "kept", "sampling": 1})
     halved = Relighter(scene, LAMP, kept.with_choices({"scale": 2})).relit(0)
     monkeypatch.setattr(configuration_module, "USUAL_PIXELS", LENS.width * LENS.height // 4)
     relighter = Relighter(scene, LAMP, kept)
@@ -231,3 +232,5 @@ def test_large_frames_are_relit_at_a_smaller_size(monkeypatch: pytest.MonkeyPatc
     others = ({"video": True}, {"whole": True})
     for whole in (*(Relighter(scene, LAMP, kept, **other) for other in others), Relighter(scene, LAMP, "paper")):
         assert whole.view(0).frame.shape == whole.relit(0).image.shape == (12, 16, 3)
+    sampled = Relighter(scene, LAMP, Configuration(light=LightOptions(photo_light="kept")))
+    assert sampled.view(0).frame.shape == (3, 4, 3) and sampled.relit(0).image.shape == (12, 16, 3)

@@ -252,20 +252,23 @@ def test_a_draft_is_coarse_where_something_moved_and_says_so(
     fine = renderer.render(plan, VIEW)
     assert not renderer.render(plan, VIEW, draft=True).draft, "what is there already is taken"
     lamp = replace(plan.lamps[0], position=(0.3, 0.3, 1.4))
-    sizes, sample = [], arrangement_module.sample_pixels
+    sizes, shade = [], arrangement_module.shade_each
 
-    def counted(seen: GBuffer, *, sampling: int) -> GBuffer:
+    def counted(seen: GBuffer, lights: Any) -> Any:
         sizes.append(seen.hit.shape)
-        return sample(seen, sampling=sampling)
+        return shade(seen, lights)
 
-    monkeypatch.setattr(arrangement_module, "sample_pixels", counted)
+    monkeypatch.setattr(arrangement_module, "shade_each", counted)
     draft = renderer.render(replace(plan, lamps=(lamp,)), VIEW, draft=True)
     fine = renderer.render(replace(plan, lamps=(lamp,)), VIEW)
     assert draft.draft and not fine.draft
     assert draft.picture.shape == fine.picture.shape
     assert np.abs(draft.linear - fine.linear).mean() < 0.02
     height, width = fine.frame.image.shape[:2]
-    assert set(sizes) == {(height // 2, width // 2)}, "at half the size; the full one was there"
+    half, quarter = ((height // part, width // part) for part in (2, 4))
+    assert sizes[0] == quarter and sizes[-1] == half and set(sizes) == {quarter, half}, (
+        "a draft is relit at half the size of a whole picture"
+    )
 
 
 def test_a_draft_of_another_frame_is_small_and_one_of_another_brightness_is_not(
