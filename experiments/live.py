@@ -163,7 +163,7 @@ def removal(mesh: trimesh.Trimesh, voxel: float, seconds: float = 4.0) -> Iterat
 def visible(scene: LiveScene, camera: Camera) -> np.ndarray:
     """Visibility of the lamp in a picture, by the scene as it is."""
     frame = Frame("look", np.full((*camera.intrinsics.shape, 3), 0.5, np.float32), camera, 0.0)
-    return np.asarray(hyjax.Relighter(scene, [LAMP]).shade(scene.view(frame), sampling=1).visibility[..., 0])
+    return np.asarray(hyjax.Relighter(scene, [LAMP]).shade(scene.view(frame)).visibility[..., 0])
 
 
 def chair_shadow(whole: trimesh.Trimesh, without: trimesh.Trimesh, camera: Camera) -> np.ndarray:

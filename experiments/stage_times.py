@@ -122,7 +122,7 @@ def main(config: Config, start: Start) -> None:
         operations_g=2e-6 * MATRIX_SIDE**3 / product,
     )
     maps = Call(cast_shadow_maps, (scene.caster, setup.lights), {})
-    gbuffer = Call(scene.gbuffer, (camera,), {})
+    gbuffer = Call(relighter.gbuffer, (camera,), {})
     for name, call, repeats in ((MAPS_PROGRAM, maps, 3), (HOST_PROGRAM, gbuffer, config.repeats)):
         results.add(kind="stage", stage=name, **measure(call, repeats=repeats))
     programs = collections.defaultdict[str, list[Call]](list)
@@ -149,14 +149,16 @@ def recorded(scene: Scene, relighter: Relighter, index: int) -> Iterator[tuple[s
         yield from ((stage, call) for call in calls)
         calls.clear()
 
-    frame, lit, setup = scene.frame(index), relighter.lit(index), relighter.setup
+    lit, setup = relighter.lit(index), relighter.setup
     seen = lit.view
-    View.of(jax.device_put(frame.image), seen.gbuffer, pose=seen.pose, intrinsics=seen.intrinsics, run=record)
+    View.of(seen.display, seen.gbuffer, pose=seen.pose, intrinsics=seen.intrinsics, full=seen.full, run=record)
     yield from done("view")
     light = scene.surface_light(setup)
-    sampling = relighter.configuration.light.sampling
+    interleave = relighter.configuration.interleave
     maps = scene.shadow_maps(setup)
-    for stage, _ in seen.shade_stages(setup, shadow_maps=maps, surface_light=light, sampling=sampling, run=record):
+    for stage, _ in seen.shade_stages(
+        setup, shadow_maps=maps, surface_light=light, interleave=interleave, run=record
+    ):
         yield from done(stage)
     for stage, _ in refine(lit, relighter.configuration, run=record):
         yield from done(stage)

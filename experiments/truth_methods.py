@@ -15,7 +15,7 @@ from hyjax.core.refine import cascade_known
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.guide.edge_weights import edge_weights
 from hyjax.light.photo_light import EVEN_RANGE, LEAST_PHOTO_LIGHT, SurfaceLight
-from hyjax.light.relit import Relit, compared, relit_picture
+from hyjax.light.relit import Relit, compared, filter_and_light, relit_picture
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import mix_channels
 from hyjax.light.view import View
@@ -203,5 +203,6 @@ def _smoothed(view: View, shaded: Shaded) -> Relit | None:
     channels = [smooth(np.ascontiguousarray(each), *SMOOTHER_OPTION) for each in np.moveaxis(weighted, -1, 0)]
     illuminance = np.stack(channels[:-1], axis=-1) / np.maximum(channels[-1], 1e-3)[..., None]
     visibility = refine_visibility(shaded, view.display, SHARP)
-    refined = view.frame, shaded, jnp.asarray(illuminance), visibility
-    return compared(*refined, *relit_picture(*refined))
+    refined, kappa = (shaded, jnp.asarray(illuminance), visibility), OURS.levels[-1].kappa
+    picture = relit_picture(view, *filter_and_light(*refined), shaded.emission, kappa)
+    return compared(view, *refined, picture, kappa)

@@ -24,7 +24,7 @@ from hyjax.choices.options import (
     wanted,
 )
 from hyjax.choices.table import CASCADES, CHOICES, choice_named
-from hyjax.core.cascade import largest_sampling, sampled_schedule
+from hyjax.core.cascade import LEAST_SAMPLES, largest_sampling, sampled_schedule
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
 from hyjax.pipeline import Mode
 from hyjax.util.arguments import checked_arguments
@@ -174,6 +174,11 @@ class Configuration:
         [1, 2, 3]
         """
         return self.scale * (1 if self.mode == "paper" else max(1, math.isqrt(shape[0] * shape[1] // USUAL_PIXELS)))
+
+    @property
+    def interleave(self) -> int:
+        """Side of the blocks of pixels that share the views of a soft shadow; no cell is smaller."""
+        return 1 if self.light.sampling == 1 else LEAST_SAMPLES
 
     def sampled(self) -> "Configuration":
         """The configuration that frames are relit by: at their size over the sampling, each pixel with its light.

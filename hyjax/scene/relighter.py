@@ -13,7 +13,6 @@ from jaxtyping import Array, Float
 
 from hyjax.choices.table import CHOICES
 from hyjax.configuration import Configuration
-from hyjax.core.cascade import LEAST_SAMPLES
 from hyjax.core.pyramid import downsample, level_shape
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
@@ -240,10 +239,7 @@ class Relighter:
             view = self._view(opened, gbuffer)
             yield "view", view
         if self._shader is None:
-            interleave = (
-                1 if self.configuration.light.sampling == 1 else LEAST_SAMPLES
-            )  # cells average over so many
-            for stage, shaded in self._shade_stages(view, interleave):
+            for stage, shaded in self._shade_stages(view, self.configuration.interleave):
                 yield stage, shaded
         else:
             camera = scaled(opened.camera, self.scale(opened.camera))

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hyjax.configuration import Configuration
-from hyjax.core.cascade import LEAST_SAMPLES
 from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import RayCaster
@@ -96,7 +95,7 @@ class Arrangement:
         self._visible: tuple[Hashable, ...] = ()  # key of the visibility of what was shaded last
         self._scene, self._caches, self._photo, self.configuration = scene, caches, photo, configuration.sampled()
         self._draft, self._cancelled, shadows = draft, cancelled, configuration.shadows
-        self._interleave = 1 if configuration.light.sampling == 1 else LEAST_SAMPLES
+        self._interleave = configuration.interleave
         self._map_size = shadows.map_scale, shadows.views
 
     def smaller(self, factor: int) -> "Arrangement":
