@@ -2,8 +2,8 @@
 
     t(x) = Σ_k price_k · work_k(x),   price_k ≥ 0
 
-Work is counted in pixels at the size that a stage runs at, over those of the frame: light and shadow maps at one
-pixel in a block of the sampling that runs, a level of a cascade at 1 / factor² of the pixels for each of its steps.
+Work is counted in pixels at the size that a stage runs at, over those of the frame: light and shadow maps at the size
+over scale and sampling, a level of a cascade at its cells for each of its steps.
 A surrogate adds what the sum leaves (`TimeModel.residual`).
 
 Source: Lawson and Hanson, *Solving least squares problems*, 1974, chapter 23.
@@ -18,6 +18,7 @@ from jaxtyping import Float
 from scipy.optimize import nnls
 
 from hyjax.choices.table import NO_STEPS
+from hyjax.core.cascade import LEAST_SAMPLES
 from hyjax.guide.choose import NO_GUIDE
 from hyjax.tuning.space import Choices, Space
 from hyjax.tuning.surrogate import Surrogate
@@ -38,19 +39,18 @@ def stage_work(space: Space, choices: Mapping[str, Any]) -> Float[np.ndarray, "k
     """Work of each stage under choices."""
     values = dict(space.fixed) | {p.name: p.default for p in space.parameters} | dict(choices)
     seen = space.seen(values)
-    pixels = 1.0 / values.get("scale", 1) ** 2
-    samples = pixels / values.get("sampling", 1) ** 2
+    scale, sampling = values.get("scale", 1), values.get("sampling", 1)
+    pixels = 1.0 / (scale * sampling) ** 2  # of the size that is worked at
     views = min(values.get("views") or ALL_VIEWS, ALL_VIEWS) / ALL_VIEWS
     guide, divided = values.get("guide", NO_GUIDE), values.get("photo_light") == "divided"
     network = (values.get("guide_size") or USUAL_GUIDE_SIZE) / USUAL_GUIDE_SIZE
     work = [
         1.0,  # composite and bytes, at full size
         pixels,
-        samples,
-        samples * views,
-        samples * views * (values.get("least_share", 0.0) == 0.0),
-        samples * values.get("map_scale", 1.0),
-        samples * (divided + (divided and bool(values.get("bounces")))),
+        pixels * views / (1 if sampling == 1 else LEAST_SAMPLES**2),
+        pixels * views * (values.get("least_share", 0.0) == 0.0),
+        pixels * values.get("map_scale", 1.0),
+        pixels * (divided + (divided and bool(values.get("bounces")))),
         pixels * (guide != NO_GUIDE),
         network**2 * (guide not in (NO_GUIDE, "rgb")),
         pixels * (values.get("upsampling") == "guide"),
@@ -58,8 +58,9 @@ def stage_work(space: Space, choices: Mapping[str, Any]) -> Float[np.ndarray, "k
     ]
     for cascade in ("cascade", "shadow_pass"):
         levels = () if seen.get(cascade, NO_STEPS) == NO_STEPS else space.levels(values, cascade)
-        work.append(pixels * sum(1 / factor**2 for factor, _ in levels))
-        work.append(pixels * sum(steps / factor**2 for factor, steps in levels))
+        cells = [(1 / (scale * max(factor, sampling)) ** 2, steps) for factor, steps in levels]
+        work.append(sum(count for count, _ in cells))
+        work.append(sum(count * steps for count, steps in cells))
     return np.array(work, float)
 
 

@@ -21,13 +21,17 @@ def test_work_is_that_of_the_sampling_that_runs() -> None:
     assert asked["sampling"] < 4
     np.testing.assert_array_equal(stage_work(SPACE, asked), stage_work(SPACE, runs))
     fine, coarse = (stage_work(SPACE, SPACE.complete({"sampling": n})) for n in (1, 2))
-    assert fine[2] == 1 and coarse[2] == 0.25
+    assert fine[1] == 1 and coarse[1] == 0.25 and fine[2] == 4 * 4 * coarse[2]
 
 
 def test_work_of_cascades_is_counted_in_their_pixels() -> None:
     work = stage_work(SPACE, SPACE.complete({"cascade": "16:3 4:6", "shadow_pass": "none", "scale": 2}))
     assert work[-4] == pytest.approx((1 / 256 + 1 / 16) / 4) and work[-3] == pytest.approx((3 / 256 + 6 / 16) / 4)
     assert work[-2] == work[-1] == 0
+    fine = stage_work(SPACE, SPACE.complete({"cascade": "16:3 4:6", "shadow_pass": "4:5 1:2", "sampling": 2}))
+    assert fine[-2] == pytest.approx(1 / 16 + 1 / 4) and fine[-1] == pytest.approx(5 / 16 + 2 / 4), (
+        "no finer than pixels"
+    )
 
 
 def test_times_that_are_a_sum_of_stages_are_predicted() -> None:
