@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import functools
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -17,7 +18,7 @@ from hyjax.core.pyramid import downsample, level_shape
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera, Intrinsics
-from hyjax.guide.choose import FrameGuide, configured_guide
+from hyjax.guide.choose import NO_GUIDE, RGB, FrameGuide, configured_guide
 from hyjax.guide.edge_weights import configured_edges
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
@@ -245,9 +246,8 @@ class Relighter:
             camera = scaled(opened.camera, self.scale(opened.camera))
             view, shaded = self._shader(view, camera, self._light()[-1])
             yield "shaded", shaded
-        make = self.guide.features
-        carried = self._carried
-        features = make(view.display) if carried is None else carried.features(view, lambda: make(view.display))
+        make = functools.partial(view_features, self.guide, view, self.configuration.light.sampling)
+        features = make() if self._carried is None else self._carried.features(view, make)
         edges = configured_edges(self.configuration.light, self._light()[-1]) if self._divides else None
         yield "guide", LitFrame(view, shaded, features, self._on_device(edges))
 
@@ -296,6 +296,13 @@ class Relighter:
     def _surface_light(self) -> SurfaceLight:
         light = self.place.surface_light(self.setup, shadows=self._shadows, occluders=self._occluders)
         return configured_light(light, self.configuration)
+
+
+def view_features(guide: FrameGuide, view: View, sampling: int) -> Float[Array, "h w f"]:
+    """Features of a guide for a view; a network sees the picture before it is sampled."""
+    if guide.name in (RGB.name, NO_GUIDE) or sampling == 1 or view.full is None:
+        return guide.features(view.display)
+    return downsample(guide.features(downsample(view.full, view.factor // sampling)), sampling)
 
 
 def configured_light(light: SurfaceLight, configuration: Configuration) -> SurfaceLight:

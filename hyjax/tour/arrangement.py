@@ -41,7 +41,7 @@ from hyjax.light.shadow_map import ShadowMap, visibility
 from hyjax.light.view import View
 from hyjax.pipeline import refine_illuminance, refine_visibility
 from hyjax.scene.photo_light import ScenePhotoLight
-from hyjax.scene.relighter import casters
+from hyjax.scene.relighter import casters, view_features
 from hyjax.tour.editable_scene import EditableScene, SceneParts
 from hyjax.tour.furniture import Part, merge_gbuffers
 from hyjax.tour.layers import (
@@ -71,7 +71,7 @@ class Arrangement:
 
     Attributes:
         coarse: whether shadows of a light were coarse.
-        configuration: that it is lit by, at the size that is worked at, see `Configuration.sampled`.
+        configuration: that it is lit by.
 
     Args:
         caches: shared by the pictures of a tour.
@@ -93,9 +93,8 @@ class Arrangement:
     ) -> None:
         self.parts, self.coarse = scene.apply(plan), False
         self._visible: tuple[Hashable, ...] = ()  # key of the visibility of what was shaded last
-        self._scene, self._caches, self._photo, self.configuration = scene, caches, photo, configuration.sampled()
+        self._scene, self._caches, self._photo, self.configuration = scene, caches, photo, configuration
         self._draft, self._cancelled, shadows = draft, cancelled, configuration.shadows
-        self._interleave = configuration.interleave
         self._map_size = shadows.map_scale, shadows.views
 
     def smaller(self, factor: int) -> "Arrangement":
@@ -103,6 +102,11 @@ class Arrangement:
         other = copy.copy(self)
         other.configuration = dataclasses.replace(self.configuration, scale=factor * self.configuration.scale)
         return other
+
+    @property
+    def scale(self) -> int:
+        """Factor by which frames are smaller when they are relit."""
+        return self.configuration.sampled().scale
 
     # ---- a place ----
 
@@ -225,14 +229,14 @@ class Arrangement:
 
     def _key(self, frame: int) -> Hashable:
         """Key of light on a frame's surface."""
-        return frame, self._interleave, self.configuration.scale
+        return frame, self.configuration.interleave, self.scale
 
     def _layer(self, light: Light, surface: GBuffer, key: Hashable, casts: bool) -> tuple[Hashable, Layer]:
         """Illuminance of a light of strength 1, and its visibility, with their key.
 
         Without a key nothing is kept, and each pixel has all of a soft shadow: no cascade joins it with others.
         """
-        size, interleave = self._map_size, 1 if key is None else self._interleave
+        size, interleave = self._map_size, 1 if key is None else self.configuration.interleave
         name = geometry_key(light), key, self.parts.keys, casts
         coarse = casts and (name, False) not in self._caches.layers and self.is_coarse(light, *size)
         self.coarse |= coarse
@@ -303,7 +307,8 @@ class Arrangement:
         photo_light = jnp.where(hit, on_pixels(light.photo_light, light.faces, gbuffer), 1.0)
         hit_weight, one = hit.astype(jnp.float32), jnp.ones(3)
         fields = Shaded(photo_light, jnp.ones_like(photo_light), jnp.eye(3), hit_weight, np.float32(1.0), one)
-        refined = run_kept(refine_illuminance, fields, guide.features(view.display), self.configuration.schedule)
+        features = view_features(guide, view, self.configuration.light.sampling)
+        refined = run_kept(refine_illuminance, fields, features, self.configuration.sampled().schedule)
         sources = None
         if light.emitters is not None and view.pose is not None and view.intrinsics is not None:
             seen = dataclasses.replace(view, gbuffer=gbuffer)

@@ -199,18 +199,16 @@ class Renderer:
             self.scene, plan, self._caches, self.photo_light, configuration, draft=draft, cancelled=cancelled
         )
         small = draft and viewpoint.shown == "relit" and self._compiled and configuration.mode != "paper"
-        if small := small and (
-            ("view", index, own.configuration.scale) not in keep or own.any_coarse(setup, index)
-        ):
+        if small := small and (("view", index, own.scale) not in keep or own.any_coarse(setup, index)):
             own = own.smaller(DRAFT_FACTOR)
-        configuration = own.configuration
-        guide = KeptGuide(self.guide, functools.partial(keep, ("guide", index, configuration.scale)))
+            configuration = own.configuration
+        guide = KeptGuide(self.guide, functools.partial(keep, ("guide", index, own.scale)))
         shader = functools.partial(own.shade, index, guide, setup)
         relighter = Relighter(own, setup, configuration, guide=guide, shader=shader, clock=clock)
         with clock("g-buffer"):
             nothing: Any = None  # the surface may be another each time
             pixels = keep(
-                ("view", index, configuration.scale),
+                ("view", index, own.scale),
                 lambda: jax.block_until_ready(dataclasses.replace(relighter.view(frame), gbuffer=nothing)),
             )
             view = dataclasses.replace(pixels, gbuffer=relighter.gbuffer(frame.camera))
@@ -228,7 +226,7 @@ class Renderer:
             if viewpoint.shown == "photo":
                 picture = keep(("photo", index), lambda: to_bytes(frame.image))
             else:
-                picture = shown_stage(viewpoint.shown, frame, lit, result, configuration.schedule)
+                picture = shown_stage(viewpoint.shown, frame, lit, result, configuration.sampled().schedule)
         times = {stage: 1e3 * values[-1] for stage, values in clock.seconds.items()}
         self._compiled |= not small
         reach = self._reach(plan, lit.shaded)

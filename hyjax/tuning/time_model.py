@@ -2,8 +2,8 @@
 
     t(x) = Σ_k price_k · work_k(x),   price_k ≥ 0
 
-Work is counted in pixels at the size that a stage runs at, over those of the frame: light and shadow maps at the size
-over scale and sampling, a level of a cascade at its cells for each of its steps.
+Work is counted in pixels at the size that a stage runs at, over those of the frame: light and shadow maps at
+the size over scale and sampling, a level of a cascade at its cells for each of its steps.
 A surrogate adds what the sum leaves (`TimeModel.residual`).
 
 Source: Lawson and Hanson, *Solving least squares problems*, 1974, chapter 23.
