@@ -145,11 +145,19 @@ def relight_stages(
             f"relight: visibility {shaded.visibility.shape}, colours {shaded.colors.shape} and confidence "
             f"{shaded.confidence.shape} do not fit the illuminance {lit}"
         )
+    whole = size if view.full is None else view.full.shape[:2]
+    if shaded.emission is not None and shaded.emission.weight.shape[:2] != whole:
+        raise InputError(
+            f"relight: emission {shaded.emission.weight.shape[:2]} must be of the whole picture, {whole}"
+        )
     for used in (schedule, shadow_schedule):
         used.check(dtype=shaded.illuminance.dtype)
     known = concrete(view.gbuffer.hit if mode == "paper" else shaded.confidence)
     if known is not None and not (np.asarray(known) > 0).any():
         left = "the relit frame is black" if mode == "paper" else "only ambient light is used"
+        if shaded.emission is not None:  # nor is the light of the photo on frames of windows
+            dark = jnp.zeros_like(shaded.emission.frame_light)
+            shaded = dataclasses.replace(shaded, emission=dataclasses.replace(shaded.emission, frame_light=dark))
         warnings.warn(f"relight: nothing of the frame is known; {left}", stacklevel=3)
     if mode == "paper":
         if view.factor > 1:
@@ -170,12 +178,13 @@ def relight_stages(
             illuminance, correction = run(sharpened, illuminance, correction), None
         illuminance, visibility = temporal_filter(illuminance, visibility)
         yield "temporal filter", (illuminance, visibility)
-    refined, kappa = (shaded, illuminance, visibility), schedule.levels[-1].kappa
-    filter_and_lux = run(filter_and_light, _surface_alone(shaded), *refined[1:], correction)
+    refined, kappa = (illuminance, visibility), schedule.levels[-1].kappa
+    interpolation = {"norm": schedule.norm, "upsampling": schedule.upsampling}
+    filter_and_lux = run(filter_and_light, _surface_alone(shaded), *refined, correction)
     yield "relight filter", filter_and_lux[0]
-    relit = run(relit_picture, view, *filter_and_lux, shaded.emission, kappa)
+    relit = run(relit_picture, view, *filter_and_lux, shaded.emission, kappa, **interpolation)
     yield "composite", relit[1]
-    yield "comparison", run(compared, view, *refined, relit, kappa, correction)
+    yield "comparison", run(compared, view, shaded, *refined, relit, kappa, correction, **interpolation)
 
 
 def cascade_calls(

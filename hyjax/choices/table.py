@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from hyjax.light.photo_light import SurfaceLight
 
 NO_STEPS = "none"
+LARGEST_SCALE = 8
+"""Largest factor by which frames are relit smaller, but for the sampling."""
 _NORMS = ("l2", "mean_abs")
 
 
@@ -98,7 +100,7 @@ for _row in (
         int,
         1,
         "The frame is relit at its size over this, a large one at less; the filter is brought up under it.",
-        bounds=(1, 8),
+        bounds=(1, LARGEST_SCALE),
         tried=Tried((1, 2, 3, 4), scale="ordered"),
         said=("page",),
         refused=("webgpu", "blender", "video"),

@@ -64,15 +64,19 @@ def entries(schedule: Schedule) -> Sequence[int]:
 
 
 def largest_sampling(schedules: Sequence[Schedule], most: int) -> int:
-    """Largest sampling up to `most` that leaves each cell where a picture enters at least four pixels.
+    """Largest sampling up to `most` that keeps all levels, and four pixels of each cell where a picture enters.
 
     >>> largest_sampling([Schedule.preset("hyjax"), Schedule.preset("hyjax-scan-shadow")], 2)
     2
     >>> largest_sampling([Schedule.preset("hyjax"), Schedule.preset("hyjax-shadow")], 2)
     1
     """
-    factors = [factor for schedule in schedules for factor in entries(schedule)]
-    return max(k for k in range(1, max(most, 1) + 1) if k == 1 or not any(f % (LEAST_SAMPLES * k) for f in factors))
+
+    def allows(schedule: Schedule, sampling: int) -> bool:
+        fine = any(factor % (LEAST_SAMPLES * sampling) for factor in entries(schedule))
+        return not fine and len(sampled_schedule(schedule, sampling).levels) == len(schedule.levels)
+
+    return max(k for k in range(1, max(most, 1) + 1) if k == 1 or all(allows(each, k) for each in schedules))
 
 
 def sampled_schedule(schedule: Schedule, sampling: int) -> Schedule:

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from hyjax.choices.table import CASCADES
 from hyjax.configuration import Configuration
+from hyjax.core.cascade import sampled_schedule
 from hyjax.core.pyramid import downsample
 from hyjax.core.schedule import Level, Schedule
 from hyjax.exploration.kept_stages import KeptStages
@@ -84,7 +85,7 @@ class Pictures:
 
     def __init__(self, scene: Scene, superseded: Callable[[], bool] = lambda: False) -> None:
         self.scene, self.fills, self._superseded = scene, False, superseded
-        self._views: dict[tuple[int, int, str, bool], View] = {}
+        self._views: dict[tuple[int, int, int, str, bool], View] = {}
         self._relighters: list[tuple[Lights, Any, DraftRelighter]] = []
         self._whole: tuple[Any, Lights, LightSetup, SurfaceLight] | None = None  # choices, lights, placed, surface
         self._ends: dict[tuple[str, tuple[int, ...]], tuple[int, ...]] = {}
@@ -146,7 +147,7 @@ class Pictures:
         """Frame under lights, ready to be refined; arguments as of `relighter`.
 
         Args:
-            small: whether its picture is to be of the configuration's scale, too.
+            small: whether its picture is to be smaller, as a draft's.
         """
         with clock("lights"):
             relighter = self.relighter(lights, configuration, surface)
@@ -154,7 +155,7 @@ class Pictures:
             if own is relighter and (index, kept_small) == (frame, small):
                 self._frames.append(self._frames.pop(place))
                 return lit
-        size = frame, configuration.scale, configuration.mode, small
+        size = frame, configuration.scale, configuration.light.sampling, configuration.mode, small
         if size not in self._views:
             with clock("g-buffer"):
                 opened = self.scene.frame(frame)
@@ -163,7 +164,8 @@ class Pictures:
             self._views = {k: v for k, v in self._views.items() if k[0] == frame}
             view = clock.follow(until_view, until="view")
             if small and view.full is not None:
-                view = dataclasses.replace(view, full=downsample(view.full, configuration.scale))
+                half = downsample(view.full, DRAFT_FACTOR)
+                view = dataclasses.replace(view, full=half, factor=view.factor // DRAFT_FACTOR)
             self._views[size] = view
         lit = clock.follow(self._followed(relighter.stages(frame, view=self._views[size])), until="guide")
         self._frames = [*self._frames, (relighter, frame, small, lit)][-KEPT_FRAMES:]
@@ -319,22 +321,16 @@ def _filled_level(level: Level, end: int) -> Level:
 
 
 def draft_of(configuration: Configuration, *, bounces: bool = True) -> Configuration:
-    """Configuration of a draft: half the size, with levels of the same cells, and coarser shadows.
+    """Configuration of a draft: worked at half the size, with levels of the same cells, and coarser shadows.
 
     Where bounces are followed with the photo's light, shadows stay: that needs the whole shadow maps anyway.
     """
-    schedules = {}
-    for part in ("schedule", "shadow_schedule"):
-        schedule, levels = getattr(configuration, part), dict[int, Level]()
-        for level in schedule.levels:
-            factor = max(1, level.factor // DRAFT_FACTOR)
-            levels[factor] = dataclasses.replace(level, factor=factor)
-        schedules[part] = dataclasses.replace(schedule, levels=tuple(levels.values()))
+    own = configuration.sampled()
+    schedules: dict[str, Any] = {part: sampled_schedule(getattr(own, part), DRAFT_FACTOR) for part in CASCADES}
     shadows = configuration.shadows
     if configuration.light.photo_light != "divided" or not bounces:
         shadows = shadows.replace(
             map_scale=max(0.05, shadows.map_scale / DRAFT_MAP_FACTOR),
             views=DRAFT_VIEWS if shadows.views is None else min(shadows.views, DRAFT_VIEWS),
         )
-    scale = configuration.scale * DRAFT_FACTOR
-    return dataclasses.replace(configuration, scale=scale, shadows=shadows, **schedules)
+    return dataclasses.replace(own, scale=own.scale * DRAFT_FACTOR, shadows=shadows, **schedules)

@@ -270,7 +270,7 @@ class Explorer(anywidget.AnyWidget):
         return draft
 
     def _has_drafts(self, configuration: Configuration) -> bool:
-        return configuration.mode != "paper" and configuration.scale <= LARGEST_DRAFT_SCALE
+        return configuration.mode != "paper" and configuration.sampled().scale <= LARGEST_DRAFT_SCALE
 
     def _show_sheet(self, view: str, *made: Any) -> None:
         """Show the sheet of a view; one that cannot be made leaves the picture as it is."""

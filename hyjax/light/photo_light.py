@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from hyjax.light.emission import Emitters
 from hyjax.light.gbuffer import GBuffer
@@ -166,11 +166,12 @@ def add_surface_light(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, lig
 
     Args:
         gbuffer: of the view, with triangles; see `on_pixels` for surfaces outside the scan.
-        lights: of the shading; ambient ones are in the bounces, see `bounced_light`, and have no channel any more.
+        lights: of the shading; ambient ones are in the bounces, see `bounced_light`, and give no direct light.
     """
     if gbuffer.face is None or gbuffer.barycentric is None:
         raise InputError("surface light: the G-buffer must have the triangle of each pixel, as a mesh's does")
-    return _add(shaded, light, gbuffer, channels=direct_channels(lights, light.bounced is not None))
+    direct = np.isin(np.arange(len(lights)), direct_channels(lights, light.bounced is not None))
+    return _add(shaded, light, gbuffer, jax.device_put(direct))
 
 
 def direct_channels(lights: Sequence[Light], bounces: bool) -> tuple[int, ...]:
@@ -180,20 +181,21 @@ def direct_channels(lights: Sequence[Light], bounces: bool) -> tuple[int, ...]:
 
 
 @functools.partial(jax.jit, static_argnames="channels")
-def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, *, channels: tuple[int, ...]) -> Shaded:
-    illuminance, visibility = shaded.illuminance, shaded.visibility
-    if len(channels) < illuminance.shape[-1]:  # light that gives nothing needs no cascade
-        illuminance, visibility = (
-            jnp.stack([each[..., k] for k in channels], axis=-1) for each in (illuminance, visibility)
-        )
-    return dataclasses.replace(
-        shaded,
-        illuminance=illuminance,
-        visibility=visibility,
-        colors=shaded.colors[jnp.array(channels)],
-        bounced=indirect_on_pixels(light, gbuffer),
-        photo_light=on_pixels(light.photo_light, light.faces, gbuffer),
+def with_channels(shaded: Shaded, *, channels: tuple[int, ...]) -> Shaded:
+    """Shaded surface of some of its lights."""
+    illuminance, visibility = (
+        jnp.stack([each[..., k] for k in channels], axis=-1) for each in (shaded.illuminance, shaded.visibility)
     )
+    colors = shaded.colors[jnp.array(channels)]
+    return dataclasses.replace(shaded, illuminance=illuminance, visibility=visibility, colors=colors)
+
+
+@jax.jit
+def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, direct: Bool[Array, "l"]) -> Shaded:
+    illuminance = jnp.where(direct, shaded.illuminance, 0.0)
+    photo_light = on_pixels(light.photo_light, light.faces, gbuffer)
+    indirect = indirect_on_pixels(light, gbuffer)
+    return dataclasses.replace(shaded, illuminance=illuminance, bounced=indirect, photo_light=photo_light)
 
 
 def indirect_on_pixels(light: SurfaceLight, gbuffer: GBuffer) -> Float[Array, "h w 3"] | None:

@@ -1,6 +1,7 @@
 """Relit picture: the frame times its refined filter (Eq. 1), and the stages for comparison."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import jax
@@ -8,6 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from hyjax.core.finite import finite_or_zero
+from hyjax.core.pyramid import upsample
+from hyjax.core.schedule import Norm, Upsampling
 from hyjax.core.upsampling import guided_upsample
 from hyjax.light.color import to_display, to_linear
 from hyjax.light.compositing import composite
@@ -58,13 +61,16 @@ def filter_and_light(
     return _filter_and_light(direct * visibility, fields, shaded)
 
 
-@jax.jit
+@functools.partial(jax.jit, static_argnames=("norm", "upsampling"))
 def relit_picture(
     view: View,
     relight_filter: Float[Array, "h w 3"],
     light: Float[Array, "h w 3"],
     emission: Emission | None,
     kappa: Float[ArrayLike, ""],
+    *,
+    norm: Norm = "l2",
+    upsampling: Upsampling = "guide",
 ) -> tuple[Float[Array, "fh fw 3"], Float[Array, "fh fw 3"]]:
     """Relight filter and relit picture (Eq. 1), linear. Pixels of the frame that are not finite are black.
 
@@ -74,20 +80,20 @@ def relit_picture(
     Args:
         relight_filter, light: of `filter_and_light`.
         emission: at the picture's size.
-        kappa: κ of the interpolation, see `guided_upsample`.
+        kappa, norm, upsampling: of the interpolation, see `Schedule`.
 
     Source: Kopf, Cohen, Lischinski and Uyttendaele, *Joint bilateral upsampling*, SIGGRAPH 2007.
     """
-    relight_filter = _upscaled(view, relight_filter, kappa)
-    frame = finite_or_zero(_whole_frame(view))
+    whole = functools.partial(_upscaled, view, kappa, norm, upsampling)
+    relight_filter, frame = whole(relight_filter), finite_or_zero(view.whole_frame())
     if emission is None:
         return relight_filter, composite(relight_filter, frame)
-    light = _upscaled(view, light, kappa)
+    light = whole(light)
     relight_filter = _framed(relight_filter, light, emission)
     return relight_filter, _with_emission(composite(relight_filter, frame), light, emission)
 
 
-@jax.jit
+@functools.partial(jax.jit, static_argnames=("norm", "upsampling"))
 def compared(
     view: View,
     shaded: Shaded,
@@ -96,8 +102,11 @@ def compared(
     relit: tuple[Float[Array, "fh fw 3"], Float[Array, "fh fw 3"]],
     kappa: Float[ArrayLike, ""],
     correction: Float[Array, "h w 1"] | None = None,
+    *,
+    norm: Norm = "l2",
+    upsampling: Upsampling = "guide",
 ) -> Relit:
-    """Stages of a relit frame for comparison; arguments of `filter_and_light`, and results of `relit_picture`."""
+    """Stages of a relit frame for comparison; arguments of both functions above, and the results of the second."""
     emission, (relight_filter, image) = shaded.emission, relit
     channels = shaded.illuminance, shaded.illuminance * shaded.visibility
     unrefined = [
@@ -106,24 +115,22 @@ def compared(
     direct, fields = _split(illuminance, shaded, correction)
     refined = _filter_and_light(direct, fields, shaded)
     shadowed = _filter_and_light(direct * visibility, fields, shaded)[1]
-    raw, raw_shadowed, filtered, light, shadowed = (
-        _upscaled(view, stage, kappa) for stage in (*unrefined, *refined, shadowed)
-    )
+    whole = functools.partial(_upscaled, view, kappa, norm, upsampling)
+    raw, raw_shadowed, filtered, light, shadowed = map(whole, (*unrefined, *refined, shadowed))
     filtered = _framed(filtered, light, emission)
-    picture = _with_emission(composite(raw_shadowed, finite_or_zero(_whole_frame(view))), shadowed, emission)
+    picture = _with_emission(composite(raw_shadowed, finite_or_zero(view.whole_frame())), shadowed, emission)
     return Relit(raw, filtered, ratio(relight_filter, filtered), relight_filter, picture, image)
 
 
-def _whole_frame(view: View) -> Float[Array, "fh fw 3"]:
-    """Picture at full size, linear."""
-    return view.frame if view.full is None or view.factor == 1 else to_linear(view.full)
-
-
-def _upscaled(view: View, stage: Float[Array, "h w c"], kappa: Float[ArrayLike, ""]) -> Float[Array, "fh fw c"]:
+def _upscaled(
+    view: View, kappa: Float[ArrayLike, ""], norm: Norm, upsampling: Upsampling, stage: Float[Array, "h w c"]
+) -> Float[Array, "fh fw c"]:
     """Stage at the size of the full picture."""
     if view.full is None or view.factor == 1:
         return stage
-    return guided_upsample(stage, view.factor, view.full, kappa, coarse=view.display)
+    if upsampling == "bilinear":
+        return upsample(stage, view.factor, (view.full.shape[0], view.full.shape[1]))
+    return guided_upsample(stage, view.factor, view.full, kappa, coarse=view.display, norm=norm)
 
 
 def _filter_and_light(

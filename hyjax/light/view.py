@@ -36,6 +36,7 @@ class View:
         pose: camera-to-world; None if nothing follows from frame to frame.
         intrinsics: calibration matrix in pixels; None likewise.
         full: the picture at full size, display-encoded, where all else is at a whole part of it; None if it is not.
+        factor: size of the full picture over that of the view (static).
     """
 
     frame: Float[Array, "h w 3"]
@@ -45,22 +46,7 @@ class View:
     intrinsics: Float[ArrayLike, "3 3"] | None = None
     full: Float[Array, "fh fw 3"] | None = None
 
-    @property
-    def factor(self) -> int:
-        """Size of the picture over that of the view.
-
-        Raises:
-            InputError: it is no whole number.
-        """
-        if self.full is None:
-            return 1
-        (height, width, _), size = self.full.shape, self.frame.shape[:2]
-        factor = max(1, -(-height // size[0]), -(-width // size[1]))
-        if level_shape((height, width), factor) != size:
-            raise InputError(
-                f"view: the picture, {size}, must be the full, {height, width}, at a whole part of its size"
-            )
-        return factor
+    factor: int = dataclasses.field(default=1, metadata={"static": True})
 
     @classmethod
     @checked_arguments(display=["display", "full"])
@@ -72,6 +58,7 @@ class View:
         pose: Float[ArrayLike, "4 4"] | None = None,
         intrinsics: Float[ArrayLike, "3 3"] | None = None,
         full: Float[Array, "fh fw 3"] | None = None,
+        factor: int | None = None,
         run: Run = call,
     ) -> "View":
         """View from a display-encoded picture.
@@ -83,16 +70,23 @@ class View:
             intrinsics: calibration matrix in pixels.
             full: the picture at full size, likewise, where `display` is at a whole part of it: it is relit at full
                 size, see `hyjax.light.relit`.
+            factor: how many times larger `full` is; by default the least whole number that fits.
             run: runs the function that makes it linear.
 
         Raises:
-            InputError: picture and G-buffer differ in size, or the full picture is no whole number of times larger.
+            InputError: picture and G-buffer differ in size, or the full picture is not so many times larger.
         """
         if gbuffer.hit.shape != display.shape[:2]:
             raise InputError(f"view: display {display.shape[:2]} and gbuffer {gbuffer.hit.shape} differ in size")
-        view = cls(run(to_linear, display), display, gbuffer, pose, intrinsics, full)
-        assert view.factor
-        return view
+        if full is None:
+            return cls(run(to_linear, display), display, gbuffer, pose, intrinsics)
+        (h, w, _), size = full.shape, display.shape[:2]
+        times = max(1, -(-h // size[0]), -(-w // size[1])) if factor is None else factor
+        if times < 1 or level_shape((h, w), times) != size:
+            raise InputError(
+                f"view: the picture, {size}, must be the full one, {(h, w)}, at a whole part of its size"
+            )
+        return cls(run(to_linear, display), display, gbuffer, pose, intrinsics, full, times)
 
     @checked_arguments
     def shade(
@@ -116,7 +110,7 @@ class View:
 
         Raises:
             InputError: no lights, a light with invalid values, another number of shadow maps than lights,
-                or a confidence of another size than the light's.
+                a confidence of another size than the light's, or an interleave below 1.
         """
         *_, (_, shaded) = self.shade_stages(
             lights,
@@ -144,6 +138,8 @@ class View:
         """
         setup = LightSetup.of(lights)
         check_lights(setup.lights)
+        if interleave < 1:
+            raise InputError(f"interleave: must be a whole number of 1 or more, got {interleave}")
         maps = (None,) * len(setup.lights) if shadow_maps is None else tuple(shadow_maps)
         if len(maps) != len(setup.lights):
             raise InputError(
@@ -182,15 +178,19 @@ class View:
         h, w = self.gbuffer.hit.shape
         if not may_show(light.emitters, (h, w), self.pose, self.intrinsics):
             return shaded
-        return dataclasses.replace(shaded, emission=run(emission, light.emitters, *self.picture(run=run)))
+        emitting = run(emission, light.emitters, self.whole_frame(run=run), *self.whole_surface(run=run))
+        return dataclasses.replace(shaded, emission=emitting)
 
-    def picture(
+    def whole_frame(self, *, run: Run = call) -> Float[Array, "fh fw 3"]:
+        """Picture at full size, linear."""
+        return self.frame if self.full is None or self.factor == 1 else run(to_linear, self.full)
+
+    def whole_surface(
         self, *, run: Run = call
-    ) -> tuple[Float[Array, "h w 3"], Float[Array, "h w"], Float[Array, "4 4"], Float[Array, "3 3"]]:
-        """The picture at full size, linear; the depth that it shows, infinite in holes; pose and intrinsics."""
+    ) -> tuple[Float[Array, "fh fw"], Float[Array, "4 4"], Float[Array, "3 3"]]:
+        """Depth at full size, infinite in holes; the camera's pose, and its intrinsics at that size."""
         pose, matrix = jnp.asarray(self.pose, jnp.float32), jnp.asarray(self.intrinsics, jnp.float32)
         if self.full is None or self.factor == 1:
-            return self.frame, self.gbuffer.open_depth, pose, matrix
+            return self.gbuffer.open_depth, pose, matrix
         depth = run(upscaled_depth, self.gbuffer, self.full, self.display, factor=self.factor)
-        larger = np.array([[self.factor], [self.factor], [1]], np.float32)
-        return run(to_linear, self.full), depth, pose, matrix * larger
+        return depth, pose, matrix * np.array([[self.factor], [self.factor], [1]], np.float32)

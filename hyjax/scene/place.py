@@ -92,7 +92,8 @@ def camera_view(
     gbuffer: GBuffer,
     camera: Camera,
     full: Float[Array, "fh fw 3"] | None = None,
+    factor: int | None = None,
 ) -> View:
     """View of a display-encoded picture of a camera, see `View.of`."""
     pose, intrinsics = (np.asarray(matrix, np.float32) for matrix in (camera.pose, camera.intrinsics.matrix))
-    return View.of(display, gbuffer, pose=pose, intrinsics=intrinsics, full=full, run=run_kept)
+    return View.of(display, gbuffer, pose=pose, intrinsics=intrinsics, full=full, factor=factor, run=run_kept)

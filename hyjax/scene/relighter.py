@@ -23,7 +23,7 @@ from hyjax.guide.edge_weights import configured_edges
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.light_edges import Weights
-from hyjax.light.photo_light import SurfaceLight
+from hyjax.light.photo_light import SurfaceLight, direct_channels, with_channels
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
@@ -242,6 +242,10 @@ class Relighter:
         if self._shader is None:
             for stage, shaded in self._shade_stages(view, self.configuration.interleave):
                 yield stage, shaded
+            light = self._light()[-1]
+            direct = direct_channels(self.setup.lights, light is not None and light.bounced is not None)
+            if len(direct) < len(self.setup.lights):  # light that gives nothing needs no cascade
+                shaded = run_kept(with_channels, shaded, channels=direct)
         else:
             camera = scaled(opened.camera, self.scale(opened.camera))
             view, shaded = self._shader(view, camera, self._light()[-1])
@@ -256,7 +260,9 @@ class Relighter:
         if scale == 1:
             return self._on_device(view_of(frame, gbuffer))
         full = jax.device_put(frame.image)
-        return self._on_device(camera_view(downsample(full, scale), gbuffer, scaled(frame.camera, scale), full))
+        return self._on_device(
+            camera_view(downsample(full, scale), gbuffer, scaled(frame.camera, scale), full, scale)
+        )
 
     def _on_device(self, arrays: T) -> T:
         """Arrays on the device of this relighter, where it has one of its own."""

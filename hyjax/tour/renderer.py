@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from msgspec.structs import replace
 
+from hyjax.choices.table import LARGEST_SCALE
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Capture, Frame
@@ -199,10 +200,11 @@ class Renderer:
             self.scene, plan, self._caches, self.photo_light, configuration, draft=draft, cancelled=cancelled
         )
         small = draft and viewpoint.shown == "relit" and self._compiled and configuration.mode != "paper"
+        small &= DRAFT_FACTOR * configuration.scale <= LARGEST_SCALE
         if small := small and (("view", index, own.scale) not in keep or own.any_coarse(setup, index)):
             own = own.smaller(DRAFT_FACTOR)
             configuration = own.configuration
-        guide = KeptGuide(self.guide, functools.partial(keep, ("guide", index, own.scale)))
+        guide = KeptGuide(self.guide, functools.partial(keep, ("guide", index, configuration.scale, own.scale)))
         shader = functools.partial(own.shade, index, guide, setup)
         relighter = Relighter(own, setup, configuration, guide=guide, shader=shader, clock=clock)
         with clock("g-buffer"):

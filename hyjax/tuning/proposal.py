@@ -68,7 +68,11 @@ class FrameObjective(Objective):
                 illuminance = sharpened(illuminance, correction)
             return illuminance, visibility
 
-        stages = refine(lit, self.configuration, temporal_filter=relaxed)
+        schedule = self.configuration.schedule
+        finest = jnp.max(jnp.where(point.steps > 0, jnp.arange(len(point.steps)), 0))
+        last = dataclasses.replace(schedule.levels[-1], kappa=point.kappa[finest])  # that brings the filter up
+        schedule = dataclasses.replace(schedule, levels=(*schedule.levels[:-1], last))
+        stages = refine(lit, dataclasses.replace(self.configuration, schedule=schedule), temporal_filter=relaxed)
         picture: Array = next(result for stage, result in stages if stage == "composite")
         return picture
 
@@ -105,7 +109,7 @@ def relaxed_choices(
     held = all(level.fidelity is not None for level in own.levels)
     if not held or own.pooling != "guide" or own.upsampling != "guide" or own.norm != "l2" or not factors:
         return choices  # the relaxation knows the form of our presets alone
-    objective = frame_objective(configuration, judge, cases, tuple(f // sampling for f in factors))
+    objective = frame_objective(configuration, judge, cases, factors)
     start = relaxed_of(own, factors)
     step = tuple(price[f] for f in factors)
     cost = CostModel(0.0, tuple(LEVEL_STEPS * x for x in step), step, (0.0,) * len(factors))
@@ -164,7 +168,8 @@ def with_point(choices: Choices, space: Space, point: RelaxedSchedule, factors: 
 def frame_objective(
     configuration: Configuration, judge: Judge, cases: Sequence[FrameCase], factors: tuple[int, ...]
 ) -> FrameObjective:
-    """Objective on cases; the factors are those of the size that frames are relit at."""
+    """Objective on cases, with levels at factors of the configuration."""
+    factors = tuple(factor // configuration.light.sampling for factor in factors)
     lit = [lit_case(configuration, judge, case) for case in cases]
     most = max(frame.shaded.illuminance.shape[-1] for frame, _, _ in lit)
     frames, gains, targets, prepared = [], [], [], []

@@ -110,7 +110,8 @@ def test_settings_and_lights_are_written_as_code() -> None:
 
 def test_drafts_have_the_cells_of_the_whole() -> None:
     small = draft_of(DEFAULT).check()
-    assert [level.factor for level in small.schedule.levels] == [8, 4, 2] and small.scale == 2
+    assert [level.factor for level in small.schedule.levels] == [4, 2, 1]
+    assert small.scale == 2 * DEFAULT.sampled().scale == 4 and small.light.sampling == 1
     assert small.shadows == DEFAULT.shadows  # the photo's light needs them whole
     kept = DEFAULT.with_choices({"photo_light": "kept"})
     assert draft_of(kept).shadows.map_scale < DEFAULT.shadows.map_scale

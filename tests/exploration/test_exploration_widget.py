@@ -222,6 +222,16 @@ def test_drafts_come_back_when_pictures_are_slow_again(widget: Explorer, monkeyp
     widget.unobserve_all("picture")
 
 
+def test_another_sampling_is_another_view(scene: hyjax.Scene) -> None:
+    """Pictures of the same kept views are those of the scene, whatever was shown before."""
+    lamp = replace(LAMP, position=np.array([0.15, -0.3, 1.9]))
+    pictures, lights = Pictures(scene), hyjax.LightSetup.of(lamp)
+    for sampling in (2, 1, 2):
+        own = hyjax.Configuration().with_choices({"sampling": sampling})
+        found = pictures.relit(0, lights, own, StageClock()).image
+        np.testing.assert_allclose(found, scene.relit(0, lights, own).image, atol=1e-6)
+
+
 def test_a_draft_casts_the_shadow_maps_of_divided_light_once(
     scene: hyjax.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -290,7 +300,10 @@ CHANGED = {
 
 
 @pytest.mark.parametrize("name", CHANGED)
-def test_a_draft_of_other_strengths_scales_refined_light(name: str, scene: hyjax.Scene, ran: list[str]) -> None:
+def test_a_draft_of_other_strengths_scales_refined_light(
+    name: str, scene: hyjax.Scene, ran: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hyjax.exploration.kept_stages.FEW_NUMBERS", 128)  # pictures are as small here
     before, after, scaled = CHANGED[name]
     first, second = map(hyjax.LightSetup.of, (before, after))
     pictures, clock, configuration = Pictures(scene), StageClock(), hyjax.Configuration()

@@ -73,7 +73,8 @@ def test_a_schedule_says_how_sparse_its_picture_may_be() -> None:
     ours, shadow = Schedule.preset("hyjax"), Schedule.preset("hyjax-scan-shadow")
     assert entries(ours) == [16, 8, 4] and entries(shadow) == [4]
     assert [largest_sampling([ours, shadow], most) for most in (1, 2, 4, 9)] == [1, 2, 2, 2]
-    assert largest_sampling([Schedule.preset("paper-50")], 16) == 8, "where a picture enters"
+    assert largest_sampling([Schedule.preset("paper-50")], 16) == 2, "or levels would be lost"
+    assert largest_sampling([Schedule.uniform([(8, 8), (2, 8), (1, 20)])], 2) == 1, "likewise"
     for name in PRESETS:
         assert largest_sampling([Schedule.preset(name)], 1) == 1
 

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from jaxtyping import Array, Float
 
 from hyjax import GBuffer, InputError, Relit, Schedule, Shaded, View, relight, to_linear
-from hyjax.core.pyramid import downsample, level_shape
+from hyjax.core.pyramid import downsample, level_shape, upsample
 from hyjax.core.upsampling import guided_upsample
 from hyjax.light.compositing import composite
 from hyjax.light.emission import Emission, Emitters
 from hyjax.light.emission import emission as emission_of
 from hyjax.light.panes import Bars
 
-SCHEDULE = Schedule.uniform([(4, 3), (2, 3)], kappa=0.2)
+SCHEDULE = Schedule.uniform([(4, 3), (2, 3)], kappa=0.2, upsampling="guide")
 SHADOWS = Schedule.uniform([(2, 2)], kappa=0.2)
 SIZES = [(48, 64, 2), (45, 61, 2), (47, 64, 3), (48, 50, 4)]
 
@@ -134,7 +134,7 @@ def test_a_source_has_the_border_of_a_picture_at_full_size() -> None:
 
     def drawn(picture: Float[Array, "h w 3"], surface: GBuffer) -> Emission:
         view = View.of(downsample(picture, factor), surface, pose=pose, intrinsics=small, full=picture)
-        return emission_of(emitters, *view.picture())
+        return emission_of(emitters, view.whole_frame(), *view.whole_surface())
 
     found = drawn(full, wall(seen))
     for field in dataclasses.fields(Emission):
@@ -165,6 +165,39 @@ def test_narrow_frames_are_brought_to_their_size(size: tuple[int, int], factor: 
 def test_sizes_that_do_not_fit_are_refused(size: tuple[int, int]) -> None:
     with pytest.raises(InputError, match="at a whole part of its size"):
         view_of(frame_of(16, 20), frame_of(*size))
+
+
+def test_a_tiny_picture_says_how_many_times_larger_it_is() -> None:
+    """Of 9 x 5 pixels, a quarter and a third are of one size."""
+    small, surface = frame_of(3, 2), view_of(frame_of(3, 2)).gbuffer
+    assert View.of(small, surface, full=frame_of(9, 5)).factor == 3
+    assert View.of(small, surface, full=frame_of(9, 5), factor=4).factor == 4
+    with pytest.raises(InputError, match="at a whole part of its size"):
+        View.of(small, surface, full=frame_of(9, 5), factor=5)
+
+
+def test_emission_is_of_the_whole_picture() -> None:
+    shape, display = (16, 20), frame_of(32, 40)
+    small = Emission(jnp.ones((*shape, 1)), *3 * [jnp.ones((*shape, 3))])
+    with pytest.raises(InputError, match=r"emission .16, 20. must be of the whole picture, .32, 40."):
+        relit(shaded_of(shape, emission=small), display, 2)
+
+
+def test_the_filter_is_brought_up_as_the_schedule_says() -> None:
+    """Bilinearly where its levels are, and by its norm."""
+    display, shape = frame_of(32, 40), (16, 20)
+    lux = np.random.default_rng(0).uniform(0, 300, (*shape, 1))
+    view = view_of(downsample(display, 2), display)
+    for upsampling, norm in (("bilinear", "l2"), ("guide", "mean_abs")):
+        schedule = dataclasses.replace(SCHEDULE, upsampling=upsampling, norm=norm)
+        own = {"shadow_schedule": SHADOWS}
+        small = relight(view_of(view.display), shaded_of(shape, lux), view.display, schedule, **own).relight_filter
+        found = relight(view, shaded_of(shape, lux), view.display, schedule, **own).relight_filter
+        if upsampling == "bilinear":
+            expected = upsample(small, 2, (32, 40))
+        else:
+            expected = guided_upsample(small, 2, display, SCHEDULE.levels[-1].kappa, coarse=view.display, norm=norm)
+        np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 def test_the_papers_form_works_at_full_size() -> None:

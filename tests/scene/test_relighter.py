@@ -93,14 +93,9 @@ def test_light_that_bounces_stand_in_for_is_refined_in_no_channel(ambient: int, 
     )
     relighter = hyjax.Relighter(scene, setup)
     view, few = relighter.view(0), relighter.lit(0).shaded
-    assert few.illuminance.shape[-1] == len(few.colors) == 1 and float(few.illuminance.max()) > 0
-    none = jnp.zeros_like(few.illuminance)
-    shaded = dataclasses.replace(
-        few,
-        illuminance=jnp.concatenate([few.illuminance, none][:: 1 if ambient else -1], axis=-1),
-        visibility=jnp.concatenate([few.visibility, none][:: 1 if ambient else -1], axis=-1),
-        colors=jnp.stack([light.color for light in setup.lights]),
-    )
+    shaded = relighter.shade(view)
+    assert shaded.illuminance.shape[-1] == 2 and few.illuminance.shape[-1] == len(few.colors) == 1
+    assert float(shaded.illuminance[..., ambient].max()) == 0 < float(few.illuminance.max())
     lit = relighter.lit(0)
     assert lit.light_edges is not None
     own = relighter.configuration.sampled()
@@ -129,8 +124,8 @@ def test_programs_that_are_begun_are_those_that_run(
     ahead.begin_programs(scene, [0], setup, configuration, configured_guide(configuration.guide), video=False)
     run: list[Any] = []
     relighter = hyjax.Relighter(scene, setup, configuration)
-    lit = relighter.lit(0)
-    for call in cascade_calls(lit.shaded, lit.features, configuration.schedule, configuration.shadow_schedule):
+    lit, own = relighter.lit(0), configuration.sampled()
+    for call in cascade_calls(lit.shaded, lit.features, own.schedule, own.shadow_schedule):
         run.append(_shapes(call[0], call[1:]))
     deadline = time.monotonic() + 60
     while len(begun) < 3 and time.monotonic() < deadline:

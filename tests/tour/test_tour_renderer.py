@@ -97,7 +97,7 @@ def test_a_picture_is_the_relighters(plan: TourPlan, tmp_path: Path, name: str) 
     assert psnr(filter_, to_display(relit.relight_filter)) > 50.0
 
 
-def test_a_large_frame_is_lit_at_its_full_size(
+def test_a_large_frame_is_not_lit_smaller(
     renderer: Renderer, plan: TourPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With the photo's light divided out."""
@@ -106,6 +106,31 @@ def test_a_large_frame_is_lit_at_its_full_size(
     monkeypatch.setattr("hyjax.configuration.USUAL_PIXELS", 48 * 64 // 4)
     assert renderer.configuration.scale_of((48, 64)) == 2
     np.testing.assert_allclose(renderer.render(plan, VIEW).linear, expected, rtol=1e-5, atol=1e-6)
+
+
+class GreyGuide:
+    """Guide that is no frame."""
+
+    name = fingerprint = "grey"
+
+    def features(self, display: Any) -> Any:
+        return display.mean(axis=-1, keepdims=True)
+
+
+@pytest.mark.parametrize("name", ["default", "balanced", "fast"])
+def test_drafts_and_schedules_of_all_pixels_take_turns(plan: TourPlan, name: str) -> None:
+    """Whole or half, with a guide of its own: what is kept of one is not taken for another."""
+    renderer = Renderer(Scene(BoxCapture(), box_room()), configuration=Configuration.preset(name))
+    renderer.guide = GreyGuide()
+    own = Viewpoint(0, "relit", renderer.configuration.schedule)
+    whole = renderer.render(plan, own).linear
+    fine = dataclasses.replace(own, schedule=ALL_PIXELS)
+    for lumen, viewpoint in ((300.0, fine), (400.0, own)):
+        lamps = tuple(replace(lamp, lumen=lumen, position=(0.2, 0.3, 1.0 + lumen / 1e3)) for lamp in plan.lamps)
+        for draft in (True, False):
+            shown = renderer.render(replace(plan, lamps=lamps), viewpoint, draft=draft)
+            assert shown.linear.shape == whole.shape and np.isfinite(shown.linear).all()
+    np.testing.assert_allclose(renderer.render(plan, own).linear, whole, atol=1e-5)
 
 
 def test_an_arrangement_is_a_place(plan: TourPlan) -> None:
