@@ -37,7 +37,7 @@ def add_samplings(results: Results, room: str, samplings: Sequence[int]) -> None
 
 
 def add_large(results: Results, room: str) -> None:
-    """Add the scores and times of a room's large frames, relit smaller, as they are, and at full size."""
+    """Add the scores and times of a room's large frames, relit smaller, as they are, and as others are."""
     bench = TruthBench(room, PHOTOS, LARGE_SIZE, 1.0)
     for setup in SETUPS:
         ways = {whole: Relighter(bench.scene, setup, whole=whole) for whole in (False, True)}
@@ -77,7 +77,7 @@ def tables(rows: Sequence[Row]) -> Iterator[Table]:
         found["processor time, ms"] = _pairs(large, "whole", False, True, "cpu_ms")
         (width, height), rooms = LARGE_SIZE, len({row["room"] for row in large})
         yield Table(
-            f"Frames of {width} x {height} relit at half their size, less those at full size, which take "
+            f"Frames of {width} x {height} relit smaller than others by half, less those that are not, which take "
             f"{np.median([row['cpu_ms'] for row in large if row['whole']]):.0f} ms: {len(large) // 2} pictures of "
             f"{rooms} rooms under {len(SETUPS)} set-ups.",
             ["", "median", "least", "most"],

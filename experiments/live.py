@@ -12,6 +12,7 @@ Expect: five renewals of the mesh a second or more, relit frames meanwhile, and 
 """
 
 import dataclasses
+import functools
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -120,7 +121,8 @@ def walk(mesh: trimesh.Trimesh, width: int, height: int, config: Config) -> dict
 
 def alone(frames: Sequence[Frame], config: Config, schedule: hyjax.Schedule) -> dict[str, list[float]]:
     """Milliseconds of each part run alone: a renewal after every sixth frame, then a relit picture."""
-    scene = LiveScene(voxel=config.voxel)
+    scene, own = LiveScene(voxel=config.voxel), hyjax.Configuration.of(schedule)
+    relighter, sampled = hyjax.Relighter(scene, [LAMP], own), own.sampled()
     spent: dict[str, list[float]] = {}
 
     def timed(name: str, call: Any) -> Any:
@@ -135,10 +137,13 @@ def alone(frames: Sequence[Frame], config: Config, schedule: hyjax.Schedule) -> 
             scene.update()
             spent.setdefault("mesh, changed regions", []).append(1e3 * scene.times["mesh"])
             spent.setdefault("caster", []).append(1e3 * scene.times["caster"])
-            view = timed("surface in the picture", lambda frame=frame: scene.view(frame))
+            view = timed("surface in the picture", lambda frame=frame: relighter.view(frame))
             maps = timed("shadow map", lambda: scene.shadow_maps([LAMP]))
-            shaded = timed("light", lambda view=view, maps=maps: view.shade([LAMP], shadow_maps=maps))
-            timed("diffusion", lambda v=view, s=shaded: hyjax.relight(v, s, v.display, schedule))
+            light = functools.partial(view.shade, [LAMP], shadow_maps=maps, interleave=own.interleave)
+            cascades = {"schedule": sampled.schedule, "shadow_schedule": sampled.shadow_schedule}
+            timed(
+                "diffusion", functools.partial(hyjax.relight, view, timed("light", light), view.display, **cascades)
+            )
     return {name: statistics(values) for name, values in spent.items()}
 
 

@@ -111,8 +111,8 @@ class Relighter:
         guide: in the place of the configuration's.
         shadows: whether lights cast shadows.
         occluders: what throws them; the paper's form knows the bare surface alone.
-        video: whether refined light is carried from each frame to the next, at full size.
-        whole: whether large frames are relit at full size; they are with a video or a shader.
+        video: whether refined light is carried from each frame to the next.
+        whole: whether large frames are relit no smaller than others; with a video or a shader they are not.
         shader: makes the light on a view in the place of shadow maps.
         clock: takes the times of what is made once.
 
@@ -174,12 +174,12 @@ class Relighter:
 
     @checked_arguments
     def gbuffer(self, camera: Camera, *, rays: bool = False) -> GBuffer:
-        """Surface that a camera sees, at the configuration's scale; see `Scene.gbuffer`."""
+        """Surface that a camera sees, at the size that is worked at; see `Scene.gbuffer`."""
         return self.place.gbuffer(scaled(camera, self.scale(camera)), rays=rays)
 
     @checked_arguments
     def view(self, frame: int | Frame) -> View:
-        """View of a frame, at the configuration's scale."""
+        """View of a frame, at the size that is worked at."""
         opened = self.place.frame(frame)
         return self._view(opened, self.gbuffer(opened.camera))
 

@@ -64,12 +64,12 @@ class PhotographedFrame:
     """Light in a frame as it was taken, before the plan moved anything.
 
     Attributes:
-        photo_light: on samples of the surface that the frame shows, relative to its mean; 1 in holes.
-        refined: the same at all pixels, after the cascade.
+        photo_light: on the surface that the frame shows, relative to its mean; 1 in holes.
+        refined: the same after the cascade.
         sources: panes and lamps in it; None if it shows none.
     """
 
-    photo_light: Float[Array, "sh sw 3"]
+    photo_light: Float[Array, "h w 3"]
     refined: Float[Array, "h w 3"]
     sources: SourcePixels | None
 
