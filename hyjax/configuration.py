@@ -26,6 +26,7 @@ from hyjax.choices.options import (
 from hyjax.choices.table import CASCADES, CHOICES, choice_named
 from hyjax.core.cascade import LEAST_SAMPLES, largest_sampling, sampled_schedule
 from hyjax.core.schedule import PAPER_KAPPA, Schedule
+from hyjax.light.view import USUAL_PIXELS
 from hyjax.pipeline import Mode
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError, did_you_mean, shown
@@ -35,8 +36,6 @@ _log = logging.getLogger(__name__)
 SUFFIX = ".json"
 DEFAULT, CUSTOM = "default", "custom"
 """Names of the configuration as it is made, and of one that has changed."""
-USUAL_PIXELS = 640 * 480
-"""Number of pixels of a usual frame: of four, nine, … times as many, frames are relit at a half, a third, …"""
 FOLDER = Path(__file__).with_name("configurations")
 PRESETS = ("quality", "balanced", "fast")
 """Configurations that come with hyjax, chosen by `hyjax tune` over rooms of known truth."""

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from hyjax.core.cascade import cascade
+from hyjax.core.pyramid import level_shape
 from hyjax.core.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.core.schedule import Schedule
 from hyjax.light.color import to_display
@@ -145,10 +146,10 @@ def relight_stages(
             f"relight: visibility {shaded.visibility.shape}, colours {shaded.colors.shape} and confidence "
             f"{shaded.confidence.shape} do not fit the illuminance {lit}"
         )
-    whole = size if view.full is None else view.full.shape[:2]
-    if shaded.emission is not None and shaded.emission.weight.shape[:2] != whole:
+    drawn = size if view.full is None else level_shape((view.full.shape[0], view.full.shape[1]), view.source_factor)
+    if shaded.emission is not None and shaded.emission.weight.shape[:2] != drawn:
         raise InputError(
-            f"relight: emission {shaded.emission.weight.shape[:2]} must be of the whole picture, {whole}"
+            f"relight: emission {shaded.emission.weight.shape[:2]} must be of {drawn}, as sources are drawn"
         )
     for used in (schedule, shadow_schedule):
         used.check(dtype=shaded.illuminance.dtype)

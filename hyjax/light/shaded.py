@@ -30,7 +30,7 @@ class Shaded:
         ambient: relight filter where nothing of the frame is known.
         bounced: lux of the lights by way of other surfaces, with their colours; None for none.
         photo_light: illuminance of the photographed frame, relative to its mean; None if assumed even.
-        emission: emitting pixels, of the full picture where the view is smaller; None if there are none.
+        emission: emitting pixels, at the size of `View.source_frame`; None if there are none.
         refined_photo_light: `photo_light` refined before; None to refine it with the rest.
     """
 

@@ -1,6 +1,7 @@
 """View: a camera's picture, its visible surface, and its shading by lights."""
 
 import dataclasses
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from hyjax.core.pyramid import level_shape
+from hyjax.core.pyramid import downsample, level_shape
 from hyjax.light.color import to_linear
 from hyjax.light.emission import emission, may_show, upscaled_depth
 from hyjax.light.gbuffer import GBuffer
@@ -22,6 +23,9 @@ from hyjax.light.shadow_map import ShadowMap, visibilities
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.tracing import Run, call
+
+USUAL_PIXELS = 640 * 480
+"""Number of pixels of a usual picture; sources of one with four, nine, … times as many are drawn at a half, a third, …"""
 
 
 @jax.tree_util.register_dataclass
@@ -178,19 +182,30 @@ class View:
         h, w = self.gbuffer.hit.shape
         if not may_show(light.emitters, (h, w), self.pose, self.intrinsics):
             return shaded
-        emitting = run(emission, light.emitters, self.whole_frame(run=run), *self.whole_surface(run=run))
+        emitting = run(emission, light.emitters, self.source_frame(run=run), *self.source_surface(run=run))
         return dataclasses.replace(shaded, emission=emitting)
 
-    def whole_frame(self, *, run: Run = call) -> Float[Array, "fh fw 3"]:
-        """Picture at full size, linear."""
-        return self.frame if self.full is None or self.factor == 1 else run(to_linear, self.full)
+    @property
+    def source_factor(self) -> int:
+        """Factor by which the full picture is larger than that in which sources are drawn: 1 for a usual one."""
+        if self.full is None:
+            return 1
+        most = max(1, math.isqrt(self.full.shape[0] * self.full.shape[1] // USUAL_PIXELS))
+        return max(k for k in range(1, most + 1) if self.factor % k == 0)
 
-    def whole_surface(
+    def source_frame(self, *, run: Run = call) -> Float[Array, "sh sw 3"]:
+        """Picture in which sources are drawn, linear."""
+        if self.full is None or self.source_factor == self.factor:
+            return self.frame
+        return run(to_linear, run(downsample, self.full, factor=self.source_factor))
+
+    def source_surface(
         self, *, run: Run = call
-    ) -> tuple[Float[Array, "fh fw"], Float[Array, "4 4"], Float[Array, "3 3"]]:
-        """Depth at full size, infinite in holes; the camera's pose, and its intrinsics at that size."""
+    ) -> tuple[Float[Array, "sh sw"], Float[Array, "4 4"], Float[Array, "3 3"]]:
+        """Depth in that picture, infinite in holes; the camera's pose, and its intrinsics there."""
         pose, matrix = jnp.asarray(self.pose, jnp.float32), jnp.asarray(self.intrinsics, jnp.float32)
-        if self.full is None or self.factor == 1:
+        if self.full is None or self.source_factor == self.factor:
             return self.gbuffer.open_depth, pose, matrix
-        depth = run(upscaled_depth, self.gbuffer, self.full, self.display, factor=self.factor)
-        return depth, pose, matrix * np.array([[self.factor], [self.factor], [1]], np.float32)
+        factor, picture = self.factor // self.source_factor, run(downsample, self.full, factor=self.source_factor)
+        depth = run(upscaled_depth, self.gbuffer, picture, self.display, factor=factor)
+        return depth, pose, matrix * np.array([[factor], [factor], [1]], np.float32)

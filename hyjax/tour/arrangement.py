@@ -178,7 +178,7 @@ class Arrangement:
         photographed = self._caches.frames(kept, lambda: self._photographed(view, camera, light, guide))
         emission = None
         if light.emitters is not None and photographed.sources is not None:
-            emission = shine(light.emitters, photographed.sources, view.whole_frame(run=run_kept))
+            emission = shine(light.emitters, photographed.sources, view.source_frame(run=run_kept))
         photo_light, refined = photographed.photo_light, photographed.refined
         return view, dataclasses.replace(
             shaded, photo_light=photo_light, refined_photo_light=refined, emission=emission
@@ -313,7 +313,7 @@ class Arrangement:
         if light.emitters is not None and view.pose is not None and view.intrinsics is not None:
             seen = dataclasses.replace(view, gbuffer=gbuffer)
             sources = source_pixels(
-                light.emitters, seen.whole_frame(run=run_kept), *seen.whole_surface(run=run_kept)
+                light.emitters, seen.source_frame(run=run_kept), *seen.source_surface(run=run_kept)
             )
         return jax.block_until_ready(PhotographedFrame(photo_light, refined, sources))
 

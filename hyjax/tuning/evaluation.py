@@ -95,7 +95,7 @@ def padded(lit: LitFrame, most: int) -> LitFrame:
     more, emission = most - shaded.illuminance.shape[-1], shaded.emission
     beside = ((0, 0), (0, 0), (0, more))
     if emission is None and shaded.photo_light is not None:
-        none = jnp.zeros_like(view.frame if view.full is None else view.full)
+        none = jnp.zeros_like(view.source_frame())
         emission = Emission(none[..., :1], none, none, none)
     shaded = dataclasses.replace(
         shaded,

@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -134,7 +135,7 @@ def test_a_source_has_the_border_of_a_picture_at_full_size() -> None:
 
     def drawn(picture: Float[Array, "h w 3"], surface: GBuffer) -> Emission:
         view = View.of(downsample(picture, factor), surface, pose=pose, intrinsics=small, full=picture)
-        return emission_of(emitters, view.whole_frame(), *view.whole_surface())
+        return emission_of(emitters, view.source_frame(), *view.source_surface())
 
     found = drawn(full, wall(seen))
     for field in dataclasses.fields(Emission):
@@ -167,6 +168,22 @@ def test_sizes_that_do_not_fit_are_refused(size: tuple[int, int]) -> None:
         view_of(frame_of(16, 20), frame_of(*size))
 
 
+def test_sources_of_large_pictures_are_brought_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawn at a half where a picture is four times as large as a usual one: the same away from their borders."""
+    display, small = frame_of(48, 64), level_shape((48, 64), 4)
+    left = jnp.broadcast_to((jnp.arange(64) < 32)[None, :, None], (48, 64, 1)).astype(jnp.float32)
+    sent = jnp.broadcast_to(jnp.array([2.0, 1.0, 0.5]), (48, 64, 3))
+    whole = Emission(left, sent, *2 * [jnp.zeros((48, 64, 3))])
+    expected = relit(shaded_of(small, emission=whole), display, 4)
+    monkeypatch.setattr("hyjax.light.view.USUAL_PIXELS", 48 * 64 // 4)
+    assert view_of(downsample(display, 4), display).source_factor == 2
+    half = jax.tree.map(lambda x: x[::2, ::2], whole)
+    found = relit(shaded_of(small, emission=half), display, 4)
+    for beside in (slice(0, 30), slice(34, 64)):
+        np.testing.assert_allclose(found.image[:, beside], expected.image[:, beside], atol=1e-5)
+        np.testing.assert_allclose(found.unrefined[:, beside], expected.unrefined[:, beside], atol=1e-5)
+
+
 def test_a_tiny_picture_says_how_many_times_larger_it_is() -> None:
     """Of 9 x 5 pixels, a quarter and a third are of one size."""
     small, surface = frame_of(3, 2), view_of(frame_of(3, 2)).gbuffer
@@ -179,7 +196,7 @@ def test_a_tiny_picture_says_how_many_times_larger_it_is() -> None:
 def test_emission_is_of_the_whole_picture() -> None:
     shape, display = (16, 20), frame_of(32, 40)
     small = Emission(jnp.ones((*shape, 1)), *3 * [jnp.ones((*shape, 3))])
-    with pytest.raises(InputError, match=r"emission .16, 20. must be of the whole picture, .32, 40."):
+    with pytest.raises(InputError, match=r"emission .16, 20. must be of .32, 40., as sources are drawn"):
         relit(shaded_of(shape, emission=small), display, 2)
 
 
