@@ -25,7 +25,7 @@ from hyjax.util.errors import InputError
 from hyjax.util.tracing import Run, call
 
 USUAL_PIXELS = 640 * 480
-"""Number of pixels of a usual picture; sources of one with four, nine, … times as many are drawn at a half, a third, …"""
+"""Number of pixels of a usual picture; of four, nine, … times as many, sources are drawn at a half, a third, …"""
 
 
 @jax.tree_util.register_dataclass
