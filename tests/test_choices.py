@@ -180,7 +180,7 @@ def test_what_a_renderer_refuses() -> None:
 
 
 def test_a_configuration_says_the_sampling_that_runs() -> None:
-    assert [Configuration.preset(name).light.sampling for name in PRESETS] == [2, 2, 1]
+    assert [Configuration.preset(name).light.sampling for name in PRESETS] == [2, 2, 2]
     fine = Configuration.of(Schedule.preset("naive-50"))
     assert (
         fine.light.sampling
