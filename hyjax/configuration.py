@@ -167,7 +167,7 @@ class Configuration:
         return {name: value for name, value in found.items() if CHOICES[name].active(found)}
 
     def scale_of(self, shape: tuple[int, int]) -> int:
-        """Factor by which a frame of that height and width is smaller; by the sampling once more.
+        """Factor by which a frame of that height and width is smaller, but for the sampling; 1 in the paper's form.
 
         >>> [Configuration().scale_of(shape) for shape in ((512, 512), (960, 1280), (1440, 1920))]
         [1, 2, 3]

@@ -82,7 +82,7 @@ def largest_sampling(schedules: Sequence[Schedule], most: int) -> int:
 def sampled_schedule(schedule: Schedule, sampling: int) -> Schedule:
     """Schedule for pictures so many times smaller: its cells cover as much of the frame.
 
-    Of levels with smaller cells than their pixels have the coarsest is left, at all pixels.
+    Levels whose cells are no whole number of its pixels become one, at all pixels.
 
     >>> [level.factor for level in sampled_schedule(Schedule.preset("hyjax-scan-shadow"), 2).levels]
     [2, 1]

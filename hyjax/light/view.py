@@ -49,7 +49,6 @@ class View:
     pose: Float[ArrayLike, "4 4"] | None = None
     intrinsics: Float[ArrayLike, "3 3"] | None = None
     full: Float[Array, "fh fw 3"] | None = None
-
     factor: int = dataclasses.field(default=1, metadata={"static": True})
 
     @classmethod
@@ -88,7 +87,7 @@ class View:
         times = max(1, -(-h // size[0]), -(-w // size[1])) if factor is None else factor
         if times < 1 or level_shape((h, w), times) != size:
             raise InputError(
-                f"view: the picture, {size}, must be the full one, {(h, w)}, at a whole part of its size"
+                f"view: the display, {size}, must be the full picture, {(h, w)}, at a whole part of its size"
             )
         return cls(run(to_linear, display), display, gbuffer, pose, intrinsics, full, times)
 

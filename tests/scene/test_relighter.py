@@ -183,7 +183,7 @@ def test_each_light_by_itself_leaves_pictures_that_add_up(
     (tmp_path / "lamps.json").write_text(json.dumps({"lights": lamps}))
     (tmp_path / "more.json").write_text(json.dumps({"lights": [*lamps, {"kind": "ambient", "illuminance": 20}]}))
     how = {"scene": hyjax.SceneSettings(capture=capture, size="160x120"), "frames": "0", "exr": True, "quiet": True}
-    how["configuration"] = "fast"  # where a light as weak as the spot has no shadow beside the other
+    how["choices"] = ("least_share=0.05",)  # a light as weak as the spot has no shadow beside the other
     settings = RelightSettings(lights=str(tmp_path / "more.json"), each_light=True, out=tmp_path / "each", **how)
     with pytest.raises(hyjax.InputError, match="call relight_each"):
         relight_capture(settings)
@@ -207,6 +207,6 @@ def test_each_light_by_itself_leaves_pictures_that_add_up(
     (tmp_path / "each" / "2-point").mkdir()  # as an earlier run with one lamp more left it
     with pytest.raises(hyjax.InputError, match="2-point is of an earlier run's light"):
         relight_each(settings)
-    paper = dataclasses.replace(settings, paper_mode=True, configuration=None)
+    paper = dataclasses.replace(settings, paper_mode=True, choices=())
     with pytest.raises(hyjax.InputError, match="each_light: pictures of paper mode do not add up"):
         relight_each(paper)
