@@ -87,7 +87,8 @@ class View:
         times = max(1, -(-h // size[0]), -(-w // size[1])) if factor is None else factor
         if times < 1 or level_shape((h, w), times) != size:
             raise InputError(
-                f"view: the display, {size}, must be the full picture, {(h, w)}, at a whole part of its size"
+                f"view: the display, {size}, must be the full picture, {(h, w)}, at a whole part of its size, such "
+                f"as {level_shape((h, w), max(1, times))}"
             )
         return cls(run(to_linear, display), display, gbuffer, pose, intrinsics, full, times)
 

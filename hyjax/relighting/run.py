@@ -106,11 +106,13 @@ def relight_run(
         configuration = dataclasses.replace(configuration, schedule=schedule)
     schedule, guide = configuration.schedule, guide or configured_guide(configuration.guide)
     tell_of_another_device(configuration)
-    if settings.sampling is not None and configuration.light.sampling < settings.sampling:
-        allowed = configuration.light.sampling
-        _log.warning("sampling: %d asked, the cascades allow %d, which is taken", settings.sampling, allowed)
     for renderer in settings.renderers:
         configuration = configuration.followed_by(renderer)
+    taken = configuration.light.sampling
+    if settings.sampling not in (None, taken):
+        _log.warning(
+            "sampling: %d asked; schedule, mode or renderer allow %d, which is taken", settings.sampling, taken
+        )
     if settings.renderer == "blender":
         from hyjax.scene.blender import blender_python
 

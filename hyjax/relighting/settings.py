@@ -58,8 +58,8 @@ class RelightSettings(Settings):
     """Renderer of the light: shadow_map; blender: Cycles, which traces every shadow and takes its time; or webgpu:
     whole frames on a graphics processor, by the shaders of an exported page."""
     sampling: int | None = None
-    """Find and repair light at the picture's size over this, where the schedule averages over such blocks anyway: 2
-    (the default) works at half the size, 1 at all of it. So do paper mode, blender and webgpu."""
+    """Refine light at the picture's size over this, as far as the schedule's cells allow, and bring it up under the
+    frame: 2 (the default) is half the size. 1 is all of it, as paper mode, blender and webgpu always have it."""
     save_filters: bool = False
     """Also write each frame's raw and refined filter."""
     save_visibility: bool = False

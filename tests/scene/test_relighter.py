@@ -44,7 +44,9 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["default", "fast", "paper", "own"])
-def test_readmes_lines_make_the_picture_of_the_command(name: str, capture: Path, tmp_path: Path) -> None:
+def test_readmes_lines_make_the_picture_of_the_command(
+    name: str, capture: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     text = name
     if name == "own":
         (tmp_path / "own.json").write_text(Configuration(name="own").with_choices(OWN).to_json())
@@ -56,6 +58,7 @@ def test_readmes_lines_make_the_picture_of_the_command(name: str, capture: Path,
             frames="0",
             lights="evening-lamps",
             configuration=None if name == "default" else text,
+            sampling=2 if name == "paper" else None,
             out=tmp_path / "out",
             quiet=True,
         )
@@ -66,6 +69,7 @@ def test_readmes_lines_make_the_picture_of_the_command(name: str, capture: Path,
     written = read_image(tmp_path / "out" / f"{run['frames'][0]}.relit.png")
     np.testing.assert_array_equal(read_image(tmp_path / "relit.png"), written)
     assert run["sampling"] == Configuration.of(text).light.sampling
+    assert ("sampling: 2 asked" in caplog.text) == (name == "paper")
 
 
 @pytest.mark.slow
