@@ -197,7 +197,7 @@ class View:
         """Picture in which sources are drawn, linear."""
         if self.full is None or self.source_factor == self.factor:
             return self.frame
-        return run(to_linear, run(downsample, self.full, factor=self.source_factor))
+        return run(to_linear, self._source_display(self.full, run))
 
     def source_surface(
         self, *, run: Run = call
@@ -206,6 +206,10 @@ class View:
         pose, matrix = jnp.asarray(self.pose, jnp.float32), jnp.asarray(self.intrinsics, jnp.float32)
         if self.full is None or self.source_factor == self.factor:
             return self.gbuffer.open_depth, pose, matrix
-        factor, picture = self.factor // self.source_factor, run(downsample, self.full, factor=self.source_factor)
+        picture, factor = self._source_display(self.full, run), self.factor // self.source_factor
         depth = run(upscaled_depth, self.gbuffer, picture, self.display, factor=factor)
         return depth, pose, matrix * np.array([[factor], [factor], [1]], np.float32)
+
+    def _source_display(self, full: Float[Array, "fh fw 3"], run: Run) -> Float[Array, "sh sw 3"]:
+        """Picture in which sources are drawn, display-encoded: a usual one as it is."""
+        return full if self.source_factor == 1 else run(downsample, full, factor=self.source_factor)
