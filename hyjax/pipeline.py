@@ -183,9 +183,9 @@ def relight_stages(
     interpolation = {"norm": schedule.norm, "upsampling": schedule.upsampling}
     filter_and_lux = run(filter_and_light, _surface_alone(shaded), *refined, correction)
     yield "relight filter", filter_and_lux[0]
-    relit = run(relit_picture, view, *filter_and_lux, shaded.emission, kappa, **interpolation)
-    yield "composite", relit[1]
-    yield "comparison", run(compared, view, shaded, *refined, relit, kappa, correction, **interpolation)
+    image = run(relit_picture, view, *filter_and_lux, shaded.emission, kappa, **interpolation)
+    yield "composite", image
+    yield "comparison", run(compared, view, shaded, *refined, image, kappa, correction, **interpolation)
 
 
 def cascade_calls(

@@ -85,16 +85,39 @@ def upsample_between(
     """
     if factor == 1:
         return y
-    if y.shape[:2] == (1, 1):  # however much wider than the picture the cell is
-        return jnp.broadcast_to(y, (*guide.shape[:2], y.shape[-1]))
-    (rows, columns, _), (height, width, _) = y.shape, guide.shape
-    guide, coarse = finite_or_zero(guide), finite_or_zero(coarse)
+    planes, pictures = jnp.moveaxis(y, -1, 0), (finite_or_zero(guide), finite_or_zero(coarse))
+    guide, coarse = (jnp.moveaxis(picture, -1, 0) for picture in pictures)
+    return jnp.moveaxis(upsample_planes(planes, factor, guide, coarse, kappa, norm=norm), 0, -1)
+
+
+def upsample_planes(
+    y: Float[Array, "c ch cw"],
+    factor: int,
+    guide: Float[Array, "f h w"],
+    coarse: Float[Array, "f ch cw"],
+    kappa: Float[ArrayLike, ""],
+    *,
+    norm: Norm,
+) -> Float[Array, "c h w"]:
+    """`upsample_between` with channels first and a finite guide: innermost they leave the CPU's vector units empty.
+
+    >>> y, guide = jnp.array([[[0.0, 1.0]]]), jnp.zeros((1, 1, 4))
+    >>> upsample_planes(y, 2, guide, guide[..., ::2], 1.0, norm="l2").shape
+    (1, 1, 4)
+    """
+    (channels, rows, columns), (_, height, width) = y.shape, guide.shape
+    if (rows, columns) == (1, 1):  # however much wider than the picture the cell is
+        return jnp.broadcast_to(y, (channels, height, width))
     start = (factor + 1) // 2  # pixels between the centre of the cell before the first one and the picture
-    # Planes: channels innermost leave the CPU's vector units half empty. Pixels between four cell centres together.
-    missing = [(start, (cells + 1) * factor - start - n) for cells, n in ((rows, height), (columns, width))]
-    pixels = jnp.pad(jnp.moveaxis(guide, -1, 0), [(0, 0), *missing])
-    pixels = pixels.reshape(-1, rows + 1, factor, columns + 1, factor)
-    values, cells = (jnp.pad(jnp.moveaxis(x, -1, 0), [(0, 0), (1, 1), (1, 1)], mode="edge") for x in (y, coarse))
+    pixels = guide
+    for axis, count, length in ((1, rows, height), (2, columns, width)):  # XLA's CPU backend is slow to pad
+        before, after = (
+            jnp.zeros((*pixels.shape[:axis], n, *pixels.shape[axis + 1 :]), guide.dtype)
+            for n in (start, (count + 1) * factor - start - length)
+        )
+        pixels = jnp.concatenate([before, pixels, after], axis)
+    pixels = pixels.reshape(-1, rows + 1, factor, columns + 1, factor)  # those between four cell centres together
+    values, cells = (jnp.pad(x, [(0, 0), (1, 1), (1, 1)], mode="edge") for x in (y, coarse))
     # In at least float32, and far from where squares are rounded to zero or infinity.
     kappa = jnp.asarray(kappa, jnp.promote_types(guide.dtype, jnp.float32))
     scale = jnp.clip(kappa, 1e-15, 1e15) ** -2
@@ -109,8 +132,7 @@ def upsample_between(
         weight = near / (1.0 + jnp.minimum(scale * _distance(pixels, corner(cells), norm), LARGEST_DISTANCE))
         total, weights = total + weight[None] * corner(values), weights + weight
     result = (total / weights[None]).reshape(-1, (rows + 1) * factor, (columns + 1) * factor)
-    result = result[:, start : start + height, start : start + width].astype(y.dtype)
-    return jnp.moveaxis(result, 0, -1)
+    return result[:, start : start + height, start : start + width].astype(y.dtype)
 
 
 def _distance(a: Float[Array, "f ..."], b: Float[Array, "f ..."], norm: Norm) -> Float[Array, "..."]:

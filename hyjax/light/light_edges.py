@@ -31,6 +31,7 @@ from hyjax.light.photo_light import LEAST_PHOTO_LIGHT
 from hyjax.light.shading import mix_channels
 from hyjax.light.view import View
 from hyjax.util.errors import InputError
+from hyjax.util.geometry import components
 
 Weights = Mapping[str, Float[Array, "..."]]
 """Kernels (k, k, inputs, outputs) and biases of the layers, as `stem.kernel` and `stem.bias`."""
@@ -140,7 +141,8 @@ def edge_features(
     (down, right), steep = (_on_grid(gradient(x)) for x in (bright, jnp.log(jnp.maximum(depth, LEAST_DEPTH))))
     steepness = jnp.clip(10 * jnp.sqrt(jnp.maximum(steep[0] ** 2 + steep[1] ** 2, 1e-12)), 0.0, 2.0)
     parts = [level / 2, 3 * right, 3 * down, light, (level - light) / 2, steepness]
-    return jnp.concatenate([jnp.stack(parts, axis=-1), hue, normal], axis=-1)
+    # Joined with channels first: last, XLA's CPU backend finds every part anew for each value.
+    return jnp.moveaxis(jnp.stack([*parts, *components(hue), *components(normal)], axis=-3), -3, -1)
 
 
 def _on_grid(edges: Edges) -> tuple[Float[Array, "*b h w"], Float[Array, "*b h w"]]:

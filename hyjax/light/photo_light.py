@@ -180,16 +180,6 @@ def direct_channels(lights: Sequence[Light], bounces: bool) -> tuple[int, ...]:
     return direct or tuple(range(len(lights)))
 
 
-@functools.partial(jax.jit, static_argnames="channels")
-def with_channels(shaded: Shaded, *, channels: tuple[int, ...]) -> Shaded:
-    """Shaded surface of some of its lights."""
-    illuminance, visibility = (
-        jnp.stack([each[..., k] for k in channels], axis=-1) for each in (shaded.illuminance, shaded.visibility)
-    )
-    colors = shaded.colors[jnp.array(channels)]
-    return dataclasses.replace(shaded, illuminance=illuminance, visibility=visibility, colors=colors)
-
-
 @jax.jit
 def _add(shaded: Shaded, light: SurfaceLight, gbuffer: GBuffer, direct: Bool[Array, "l"]) -> Shaded:
     illuminance = jnp.where(direct, shaded.illuminance, 0.0)

@@ -2,8 +2,8 @@
 
 import dataclasses
 import functools
-from collections.abc import Sequence
-from typing import Any
+import itertools
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Float
 from hyjax.core.finite import finite_or_zero
 from hyjax.core.pyramid import downsample, upsample
 from hyjax.core.schedule import Norm, Upsampling
-from hyjax.core.upsampling import guided_upsample
+from hyjax.core.upsampling import guided_upsample, upsample_planes
 from hyjax.light.color import to_display, to_linear
 from hyjax.light.compositing import composite
 from hyjax.light.emission import Emission
@@ -72,8 +72,8 @@ def relit_picture(
     *,
     norm: Norm = "l2",
     upsampling: Upsampling = "guide",
-) -> tuple[Float[Array, "fh fw 3"], Float[Array, "fh fw 3"]]:
-    """Relight filter and relit picture (Eq. 1), linear. Pixels of the frame that are not finite are black.
+) -> Float[Array, "fh fw 3"]:
+    """Relit picture (Eq. 1), linear. Pixels of the frame that are not finite are black.
 
     Where the view has a full picture, filter and light are interpolated under it, as a cascade's last level is, and
     the picture is multiplied at full size: its texture stays.
@@ -86,15 +86,26 @@ def relit_picture(
     Source: Kopf, Cohen, Lischinski and Uyttendaele, *Joint bilateral upsampling*, SIGGRAPH 2007.
     """
     whole = functools.partial(_upscaled, view, kappa, norm, upsampling)
-    frame = finite_or_zero(_whole_frame(view))
     if emission is None:
-        relight_filter = whole(relight_filter)
-        return relight_filter, composite(relight_filter, frame)
+        return composite(_pixels(whole(_planes(relight_filter))), finite_or_zero(_whole_frame(view)))
     if view.source_factor > 1:
-        return _in_two_steps(view, relight_filter, light, emission, kappa, norm=norm, upsampling=upsampling)
-    relight_filter, light = whole(relight_filter), whole(light)
+        return _in_two_steps(view, relight_filter, light, emission, kappa, norm, upsampling)
+    planes = _planes(relight_filter), _planes(light), jax.tree.map(_planes, emission)
+    return _pixels(_with_sources(view, *planes, whole)[1])
+
+
+def _with_sources(
+    view: View,
+    relight_filter: Float[Array, "3 h w"],
+    light: Float[Array, "3 h w"],
+    emission: Emission,
+    whole: Callable[[Array], Array],
+) -> tuple[Float[Array, "3 fh fw"], Float[Array, "3 fh fw"]]:
+    """Relight filter and relit picture with what emits, all with channels first."""
+    relight_filter, light = jnp.split(whole(jnp.concatenate([relight_filter, light])), 2)
     relight_filter = _framed(relight_filter, light, emission)
-    return relight_filter, _with_emission(composite(relight_filter, frame), light, emission)
+    picture = relight_filter * _planes(finite_or_zero(_whole_frame(view)))  # as `composite`
+    return relight_filter, _with_emission(picture, light, emission)
 
 
 def _in_two_steps(
@@ -103,22 +114,25 @@ def _in_two_steps(
     light: Float[Array, "h w 3"],
     emission: Emission,
     kappa: Float[ArrayLike, ""],
-    **options: Any,
-) -> tuple[Float[Array, "fh fw 3"], Float[Array, "fh fw 3"]]:
+    norm: Norm,
+    upsampling: Upsampling,
+) -> Float[Array, "fh fw 3"]:
     """`relit_picture` by way of the size at which sources are drawn: emission is brought up as it is."""
     assert view.full is not None
     factor, display = view.source_factor, downsample(view.full, view.source_factor)
-    smaller = dataclasses.replace(view, full=display, factor=view.factor // factor)
-    relight_filter, image = relit_picture(smaller, relight_filter, light, emission, kappa, **options)
-    frame = finite_or_zero(_whole_frame(smaller))
-    shining = image - (1.0 - emission.weight) * composite(relight_filter, frame)
+    frame, times = to_linear(display), view.factor // view.source_factor
+    smaller = dataclasses.replace(view, full=display, full_frame=frame, factor=times)
+    whole = functools.partial(_upscaled, smaller, kappa, norm, upsampling)
+    emission = jax.tree.map(_planes, emission)
+    relight_filter, picture = _with_sources(smaller, _planes(relight_filter), _planes(light), emission, whole)
+    shining = picture - (1.0 - emission.weight) * relight_filter * _planes(finite_or_zero(frame))
     # One by one: XLA on the CPU takes three times longer for all of them stacked, and then parted again.
     relight_filter, weight, shining = (
-        guided_upsample(x, factor, view.full, kappa, coarse=display)
+        guided_upsample(_pixels(x), factor, view.full, kappa, coarse=display)
         for x in (relight_filter, emission.weight, shining)
     )
-    relit = composite(relight_filter, finite_or_zero(to_linear(view.full)))
-    return relight_filter, (1.0 - weight) * relit + shining
+    relit = composite(relight_filter, finite_or_zero(_whole_frame(view)))
+    return (1.0 - weight) * relit + shining
 
 
 @functools.partial(jax.jit, static_argnames=("norm", "upsampling"))
@@ -127,45 +141,59 @@ def compared(
     shaded: Shaded,
     illuminance: Float[Array, "h w c"],
     visibility: Float[Array, "h w l"],
-    relit: tuple[Float[Array, "fh fw 3"], Float[Array, "fh fw 3"]],
+    image: Float[Array, "fh fw 3"],
     kappa: Float[ArrayLike, ""],
     correction: Float[Array, "h w 1"] | None = None,
     *,
     norm: Norm = "l2",
     upsampling: Upsampling = "guide",
 ) -> Relit:
-    """Stages of a relit frame for comparison; arguments of both functions above, and the results of the second."""
-    emission, (relight_filter, image) = shaded.emission, relit
+    """Stages of a relit frame for comparison; arguments of both functions above, and the result of the second."""
+    emission = shaded.emission
     channels = shaded.illuminance, shaded.illuminance * shaded.visibility
     unrefined = [
         _divide(_light(light, shaded, shaded.surface_fields), shaded, shaded.surface_fields) for light in channels
     ]
     direct, fields = _split(illuminance, shaded, correction)
-    refined = _filter_and_light(direct, fields, shaded)
-    shadowed = _filter_and_light(direct * visibility, fields, shaded)[1]
+    both = (_filter_and_light(channels, fields, shaded) for channels in (direct, direct * visibility))
+    stages = *unrefined, *itertools.chain.from_iterable(both)
     whole = functools.partial(_upscaled, view, kappa, norm, upsampling)
-    raw, raw_shadowed, filtered, light, shadowed = map(whole, (*unrefined, *refined, shadowed))
+    raw, raw_shadowed, filtered, light, relight_filter, shadowed = (whole(_planes(stage)) for stage in stages)
     if emission is not None and view.source_factor > 1:
-        emission = jax.tree.map(lambda x: upsample(x, view.source_factor, light.shape[:2]), emission)
-    filtered = _framed(filtered, light, emission)
-    picture = _with_emission(composite(raw_shadowed, finite_or_zero(_whole_frame(view))), shadowed, emission)
-    return Relit(raw, filtered, ratio(relight_filter, filtered), relight_filter, picture, image)
+        emission = jax.tree.map(lambda x: upsample(x, view.source_factor, light.shape[1:]), emission)
+    emission = jax.tree.map(_planes, emission)
+    filtered, relight_filter = _framed(filtered, light, emission), _framed(relight_filter, shadowed, emission)
+    picture = _with_emission(raw_shadowed * _planes(finite_or_zero(_whole_frame(view))), shadowed, emission)
+    raw, filtered, visible, relight_filter, picture = map(
+        _pixels, (raw, filtered, ratio(relight_filter, filtered), relight_filter, picture)
+    )
+    return Relit(raw, filtered, visible, relight_filter, picture, image)
+
+
+def _planes(picture: Float[Array, "h w c"]) -> Float[Array, "c h w"]:
+    """Picture with its channels first: XLA's CPU backend is slow where innermost ones meet a value of the pixel."""
+    return jnp.moveaxis(picture, -1, 0)
+
+
+def _pixels(planes: Float[Array, "c h w"]) -> Float[Array, "h w c"]:
+    return jnp.moveaxis(planes, 0, -1)
 
 
 def _whole_frame(view: View) -> Float[Array, "fh fw 3"]:
     """Picture at full size, linear."""
-    return view.frame if view.full is None or view.factor == 1 else to_linear(view.full)
+    return view.frame if view.full_frame is None else view.full_frame
 
 
 def _upscaled(
-    view: View, kappa: Float[ArrayLike, ""], norm: Norm, upsampling: Upsampling, stage: Float[Array, "h w c"]
-) -> Float[Array, "fh fw c"]:
+    view: View, kappa: Float[ArrayLike, ""], norm: Norm, upsampling: Upsampling, stage: Float[Array, "c h w"]
+) -> Float[Array, "c fh fw"]:
     """Stage at the size of the full picture."""
     if view.full is None or view.factor == 1:
         return stage
     if upsampling == "bilinear":
-        return upsample(stage, view.factor, (view.full.shape[0], view.full.shape[1]))
-    return guided_upsample(stage, view.factor, view.full, kappa, coarse=view.display, norm=norm)
+        return _planes(upsample(_pixels(stage), view.factor, (view.full.shape[0], view.full.shape[1])))
+    full, coarse = (_planes(finite_or_zero(picture)) for picture in (view.full, view.display))
+    return upsample_planes(stage, view.factor, full, coarse, kappa, norm=norm)
 
 
 def _filter_and_light(
@@ -193,8 +221,8 @@ def _or_ambient(relight_filter: Float[Array, "h w 3"], shaded: Shaded) -> Float[
 
 
 def _framed(
-    relight_filter: Float[Array, "h w 3"], light: Float[Array, "h w 3"], emission: Emission | None
-) -> Float[Array, "h w 3"]:
+    relight_filter: Float[Array, "3 h w"], light: Float[Array, "3 h w"], emission: Emission | None
+) -> Float[Array, "3 h w"]:
     """Filter, smaller on frames of windows, which had more light in the photo than what is beside them."""
     if emission is None:
         return relight_filter
@@ -202,8 +230,8 @@ def _framed(
 
 
 def _with_emission(
-    picture: Float[Array, "h w 3"], light: Float[Array, "h w 3"], emission: Emission | None
-) -> Float[Array, "h w 3"]:
+    picture: Float[Array, "3 h w"], light: Float[Array, "3 h w"], emission: Emission | None
+) -> Float[Array, "3 h w"]:
     """Picture with its emitting pixels, which also reflect light."""
     if emission is None:
         return picture
@@ -246,6 +274,6 @@ def composite_display(
 
 
 @jax.jit
-def ratio(part: Float[Array, "h w 3"], whole: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
+def ratio(part: Float[Array, "*s"], whole: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Share of `part` in `whole`, in [0, 1]; 1 where the whole is nothing."""
     return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1.0), 1.0)

@@ -40,6 +40,7 @@ class View:
         pose: camera-to-world; None if nothing follows from frame to frame.
         intrinsics: calibration matrix in pixels; None likewise.
         full: the picture at full size, display-encoded, where all else is at a whole part of it; None if it is not.
+        full_frame: the same, linear; None likewise.
         factor: size of the full picture over that of the view (static).
     """
 
@@ -49,6 +50,7 @@ class View:
     pose: Float[ArrayLike, "4 4"] | None = None
     intrinsics: Float[ArrayLike, "3 3"] | None = None
     full: Float[Array, "fh fw 3"] | None = None
+    full_frame: Float[Array, "fh fw 3"] | None = None
     factor: int = dataclasses.field(default=1, metadata={"static": True})
 
     @classmethod
@@ -90,7 +92,9 @@ class View:
                 f"view: the display, {size}, must be the full picture, {(h, w)}, at a whole part of its size, such "
                 f"as {level_shape((h, w), max(1, times))}"
             )
-        return cls(run(to_linear, display), display, gbuffer, pose, intrinsics, full, times)
+        frame = run(to_linear, display)
+        whole = frame if times == 1 else run(to_linear, full)
+        return cls(frame, display, gbuffer, pose, intrinsics, full, whole, times)
 
     @checked_arguments
     def shade(
@@ -195,9 +199,9 @@ class View:
 
     def source_frame(self, *, run: Run = call) -> Float[Array, "sh sw 3"]:
         """Picture in which sources are drawn, linear."""
-        if self.full is None or self.source_factor == self.factor:
+        if self.full is None or self.full_frame is None or self.source_factor == self.factor:
             return self.frame
-        return run(to_linear, self._source_display(self.full, run))
+        return self.full_frame if self.source_factor == 1 else run(to_linear, self._source_display(self.full, run))
 
     def source_surface(
         self, *, run: Run = call

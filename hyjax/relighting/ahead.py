@@ -80,7 +80,7 @@ def begin_programs(
         size = scene.size or scene.capture.camera(chosen[0]).intrinsics.shape
     except InputError:  # of a damaged frame, told in its turn
         return
-    sampled, count = configuration.sampled(), len(setup.lights)
+    sampled, direct = configuration.sampled(), tuple(range(len(setup.lights)))
     height, width = level_shape(size, sampled.scale if video else sampled.scale_of(size))
 
     def array(*shape: int, dtype: type = np.float32) -> Any:
@@ -89,16 +89,16 @@ def begin_programs(
     bounced = photo_light = None
     if configuration.light.photo_light == "divided":
         light = configured_light(EvenlyLitPlace(scene).surface_light(setup), configuration)
-        count, photo_light = len(direct_channels(setup.lights, light.bounced is not None)), array(height, width, 3)
+        direct, photo_light = direct_channels(setup.lights, light.bounced is not None), array(height, width, 3)
         bounced = None if light.bounced is None else photo_light
-    lights, picture = array(height, width, count), array(height, width, 3)
-    colors, known, reference, ambient = array(count, 3), array(height, width, 1), array(), array(3)
+    lights, picture = array(height, width, len(direct)), array(height, width, 3)
+    colors, known, reference, ambient = array(len(direct), 3), array(height, width, 1), array(), array(3)
     shaded = Shaded(lights, lights, colors, known, reference, ambient, bounced, photo_light)
     numbers, hit, face = (array(height, width, dtype=kind) for kind in (np.float32, bool, np.int32))
     seen = GBuffer(picture, picture, numbers, hit, face, picture)
     cascades = cascade_calls(shaded, picture, sampled.schedule, sampled.shadow_schedule)
     pool = ThreadPoolExecutor(THREADS, thread_name_prefix="programs")
-    for call in (*cascades, (shade_each, seen, setup.lights)):
+    for call in (*cascades, (shade_each, seen, tuple(setup.lights[k] for k in direct))):
         pool.submit(make_ready, *call)
     pool.shutdown(wait=False)
 

@@ -23,10 +23,10 @@ from hyjax.guide.edge_weights import configured_edges
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.light_edges import Weights
-from hyjax.light.photo_light import SurfaceLight, direct_channels, with_channels
+from hyjax.light.photo_light import SurfaceLight, direct_channels
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
-from hyjax.light.shaded import Shaded
+from hyjax.light.shaded import Shaded, ambient_filter
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
 from hyjax.pipeline import TemporalFilter, relight_stages
@@ -240,12 +240,8 @@ class Relighter:
             view = self._view(opened, gbuffer)
             yield "view", view
         if self._shader is None:
-            for stage, shaded in self._shade_stages(view, self.configuration.interleave):
+            for stage, shaded in self._shade_stages(view, self.configuration.interleave, direct_alone=True):
                 yield stage, shaded
-            light = self._light()[-1]
-            direct = direct_channels(self.setup.lights, light is not None and light.bounced is not None)
-            if len(direct) < len(self.setup.lights):  # light that gives nothing needs no cascade
-                shaded = run_kept(with_channels, shaded, channels=direct)
         else:
             camera = scaled(opened.camera, self.scale(opened.camera))
             view, shaded = self._shader(view, camera, self._light()[-1])
@@ -268,9 +264,17 @@ class Relighter:
         """Arrays on the device of this relighter, where it has one of its own."""
         return arrays if self._device is None else jax.device_put(arrays, self._device)
 
-    def _shade_stages(self, view: View, interleave: int = 1) -> Stages:
+    def _shade_stages(self, view: View, interleave: int = 1, *, direct_alone: bool = False) -> Stages:
         _, setup, maps, light = self._light()
-        return view.shade_stages(setup, shadow_maps=maps, surface_light=light, interleave=interleave, run=run_kept)
+        lights, bounces = setup.lights, direct_alone and light is not None and light.bounced is not None
+        direct = direct_channels(lights, bounces)  # light that gives nothing needs no shading and no cascade
+        setup = dataclasses.replace(setup, lights=tuple(lights[k] for k in direct))
+        maps = maps and tuple(maps[k] for k in direct)
+        ambient = ambient_filter(lights, setup.reference_lux) if len(direct) < len(lights) else None
+        shade = functools.partial(view.shade_stages, setup, shadow_maps=maps, surface_light=light, run=run_kept)
+        for stage, result in shade(interleave=interleave):
+            known = stage == "shaded" and ambient is not None
+            yield stage, dataclasses.replace(result, ambient=ambient) if known else result
 
     def _light(self) -> tuple[int | None, LightSetup, Maps, SurfaceLight | None]:
         """Lights with their shadow maps and the light on the surface as it is now."""

@@ -90,7 +90,7 @@ class TuningScene:
         plain = Configuration().with_choices({"sampling": 1, "photo_light": "kept"})
         shaded = Relighter(self.accurate, setup, plain, occluders="surface", whole=True).shade(view)
         raw = run_kept(filter_and_light, shaded, shaded.illuminance, shaded.visibility)  # nothing is refined
-        _, image = run_kept(relit_picture, view, *raw, None, np.float32(1.0))
+        image = run_kept(relit_picture, view, *raw, None, np.float32(1.0))
         return Target(np.asarray(to_display(image)), np.asarray(view.gbuffer.hit), False)
 
 
