@@ -85,9 +85,8 @@ def upsample_between(
     """
     if factor == 1:
         return y
-    planes, pictures = jnp.moveaxis(y, -1, 0), (finite_or_zero(guide), finite_or_zero(coarse))
-    guide, coarse = (jnp.moveaxis(picture, -1, 0) for picture in pictures)
-    return jnp.moveaxis(upsample_planes(planes, factor, guide, coarse, kappa, norm=norm), 0, -1)
+    y, guide, coarse = (jnp.moveaxis(x, -1, 0) for x in (y, guide, coarse))
+    return jnp.moveaxis(upsample_planes(y, factor, guide, coarse, kappa, norm=norm), 0, -1)
 
 
 def upsample_planes(
@@ -99,7 +98,7 @@ def upsample_planes(
     *,
     norm: Norm,
 ) -> Float[Array, "c h w"]:
-    """`upsample_between` with channels first and a finite guide: innermost they leave the CPU's vector units empty.
+    """`upsample_between` with channels first: last they leave the CPU's vector units half empty.
 
     >>> y, guide = jnp.array([[[0.0, 1.0]]]), jnp.zeros((1, 1, 4))
     >>> upsample_planes(y, 2, guide, guide[..., ::2], 1.0, norm="l2").shape
@@ -108,6 +107,7 @@ def upsample_planes(
     (channels, rows, columns), (_, height, width) = y.shape, guide.shape
     if (rows, columns) == (1, 1):  # however much wider than the picture the cell is
         return jnp.broadcast_to(y, (channels, height, width))
+    guide, coarse = finite_or_zero(guide), finite_or_zero(coarse)
     start = (factor + 1) // 2  # pixels between the centre of the cell before the first one and the picture
     pixels = guide
     for axis, count, length in ((1, rows, height), (2, columns, width)):  # XLA's CPU backend is slow to pad

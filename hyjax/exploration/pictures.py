@@ -13,7 +13,6 @@ from hyjax.core.cascade import sampled_schedule
 from hyjax.core.pyramid import downsample
 from hyjax.core.schedule import Level, Schedule
 from hyjax.exploration.kept_stages import KeptStages
-from hyjax.light.color import to_linear
 from hyjax.light.photo_light import SurfaceLight, direct_channels
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup, geometry_key, same_setup
@@ -166,8 +165,7 @@ class Pictures:
             view = clock.follow(until_view, until="view")
             if small and view.full is not None:
                 half = downsample(view.full, DRAFT_FACTOR)
-                factor = view.factor // DRAFT_FACTOR
-                view = dataclasses.replace(view, full=half, full_frame=to_linear(half), factor=factor)
+                view = dataclasses.replace(view, full=half, full_frame=None, factor=view.factor // DRAFT_FACTOR)
             self._views[size] = view
         lit = clock.follow(self._followed(relighter.stages(frame, view=self._views[size])), until="guide")
         self._frames = [*self._frames, (relighter, frame, small, lit)][-KEPT_FRAMES:]

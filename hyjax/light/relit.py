@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import itertools
 from collections.abc import Callable, Sequence
 
 import jax
@@ -87,7 +86,7 @@ def relit_picture(
     """
     whole = functools.partial(_upscaled, view, kappa, norm, upsampling)
     if emission is None:
-        return composite(_pixels(whole(_planes(relight_filter))), finite_or_zero(_whole_frame(view)))
+        return composite(_pixels(whole(_planes(relight_filter))), finite_or_zero(view.whole_frame()))
     if view.source_factor > 1:
         return _in_two_steps(view, relight_filter, light, emission, kappa, norm, upsampling)
     planes = _planes(relight_filter), _planes(light), jax.tree.map(_planes, emission)
@@ -104,7 +103,7 @@ def _with_sources(
     """Relight filter and relit picture with what emits, all with channels first."""
     relight_filter, light = jnp.split(whole(jnp.concatenate([relight_filter, light])), 2)
     relight_filter = _framed(relight_filter, light, emission)
-    picture = relight_filter * _planes(finite_or_zero(_whole_frame(view)))  # as `composite`
+    picture = relight_filter * _planes(finite_or_zero(view.whole_frame()))  # as `composite`
     return relight_filter, _with_emission(picture, light, emission)
 
 
@@ -120,18 +119,17 @@ def _in_two_steps(
     """`relit_picture` by way of the size at which sources are drawn: emission is brought up as it is."""
     assert view.full is not None
     factor, display = view.source_factor, downsample(view.full, view.source_factor)
-    frame, times = to_linear(display), view.factor // view.source_factor
-    smaller = dataclasses.replace(view, full=display, full_frame=frame, factor=times)
+    smaller = dataclasses.replace(view, full=display, full_frame=None, factor=view.factor // factor)
     whole = functools.partial(_upscaled, smaller, kappa, norm, upsampling)
     emission = jax.tree.map(_planes, emission)
     relight_filter, picture = _with_sources(smaller, _planes(relight_filter), _planes(light), emission, whole)
-    shining = picture - (1.0 - emission.weight) * relight_filter * _planes(finite_or_zero(frame))
+    shining = picture - (1.0 - emission.weight) * relight_filter * _planes(finite_or_zero(smaller.whole_frame()))
     # One by one: XLA on the CPU takes three times longer for all of them stacked, and then parted again.
     relight_filter, weight, shining = (
         guided_upsample(_pixels(x), factor, view.full, kappa, coarse=display)
         for x in (relight_filter, emission.weight, shining)
     )
-    relit = composite(relight_filter, finite_or_zero(_whole_frame(view)))
+    relit = composite(relight_filter, finite_or_zero(view.whole_frame()))
     return (1.0 - weight) * relit + shining
 
 
@@ -148,26 +146,27 @@ def compared(
     norm: Norm = "l2",
     upsampling: Upsampling = "guide",
 ) -> Relit:
-    """Stages of a relit frame for comparison; arguments of both functions above, and the result of the second."""
+    """Stages of a relit frame for comparison; arguments of both functions above, and the result of the second.
+
+    Filters of a large picture with sources are brought to full size in one step, the picture's own in two.
+    """
     emission = shaded.emission
     channels = shaded.illuminance, shaded.illuminance * shaded.visibility
     unrefined = [
         _divide(_light(light, shaded, shaded.surface_fields), shaded, shaded.surface_fields) for light in channels
     ]
     direct, fields = _split(illuminance, shaded, correction)
-    both = (_filter_and_light(channels, fields, shaded) for channels in (direct, direct * visibility))
-    stages = *unrefined, *itertools.chain.from_iterable(both)
+    refined = *_filter_and_light(direct, fields, shaded), *_filter_and_light(direct * visibility, fields, shaded)
+    stages = *unrefined, *refined
     whole = functools.partial(_upscaled, view, kappa, norm, upsampling)
     raw, raw_shadowed, filtered, light, relight_filter, shadowed = (whole(_planes(stage)) for stage in stages)
     if emission is not None and view.source_factor > 1:
         emission = jax.tree.map(lambda x: upsample(x, view.source_factor, light.shape[1:]), emission)
     emission = jax.tree.map(_planes, emission)
     filtered, relight_filter = _framed(filtered, light, emission), _framed(relight_filter, shadowed, emission)
-    picture = _with_emission(raw_shadowed * _planes(finite_or_zero(_whole_frame(view))), shadowed, emission)
-    raw, filtered, visible, relight_filter, picture = map(
-        _pixels, (raw, filtered, ratio(relight_filter, filtered), relight_filter, picture)
-    )
-    return Relit(raw, filtered, visible, relight_filter, picture, image)
+    picture = _with_emission(raw_shadowed * _planes(finite_or_zero(view.whole_frame())), shadowed, emission)
+    raw, filtered, relight_filter, picture = map(_pixels, (raw, filtered, relight_filter, picture))
+    return Relit(raw, filtered, ratio(relight_filter, filtered), relight_filter, picture, image)
 
 
 def _planes(picture: Float[Array, "h w c"]) -> Float[Array, "c h w"]:
@@ -177,11 +176,6 @@ def _planes(picture: Float[Array, "h w c"]) -> Float[Array, "c h w"]:
 
 def _pixels(planes: Float[Array, "c h w"]) -> Float[Array, "h w c"]:
     return jnp.moveaxis(planes, 0, -1)
-
-
-def _whole_frame(view: View) -> Float[Array, "fh fw 3"]:
-    """Picture at full size, linear."""
-    return view.frame if view.full_frame is None else view.full_frame
 
 
 def _upscaled(
@@ -274,6 +268,6 @@ def composite_display(
 
 
 @jax.jit
-def ratio(part: Float[Array, "*s"], whole: Float[Array, "*s"]) -> Float[Array, "*s"]:
+def ratio(part: Float[Array, "h w 3"], whole: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
     """Share of `part` in `whole`, in [0, 1]; 1 where the whole is nothing."""
     return jnp.where(whole > 0, part / jnp.where(whole > 0, whole, 1.0), 1.0)

@@ -40,7 +40,7 @@ class View:
         pose: camera-to-world; None if nothing follows from frame to frame.
         intrinsics: calibration matrix in pixels; None likewise.
         full: the picture at full size, display-encoded, where all else is at a whole part of it; None if it is not.
-        full_frame: the same, linear; None likewise.
+        full_frame: the same, linear, where it was made before; see `whole_frame`.
         factor: size of the full picture over that of the view (static).
     """
 
@@ -92,9 +92,8 @@ class View:
                 f"view: the display, {size}, must be the full picture, {(h, w)}, at a whole part of its size, such "
                 f"as {level_shape((h, w), max(1, times))}"
             )
-        frame = run(to_linear, display)
-        whole = frame if times == 1 else run(to_linear, full)
-        return cls(frame, display, gbuffer, pose, intrinsics, full, whole, times)
+        view = cls(run(to_linear, display), display, gbuffer, pose, intrinsics, full, None, times)
+        return dataclasses.replace(view, full_frame=view.whole_frame(run=run))
 
     @checked_arguments
     def shade(
@@ -189,6 +188,12 @@ class View:
         emitting = run(emission, light.emitters, self.source_frame(run=run), *self.source_surface(run=run))
         return dataclasses.replace(shaded, emission=emitting)
 
+    def whole_frame(self, *, run: Run = call) -> Float[Array, "fh fw 3"]:
+        """Picture at full size, linear."""
+        if self.full is None or self.factor == 1:
+            return self.frame
+        return run(to_linear, self.full) if self.full_frame is None else self.full_frame
+
     @property
     def source_factor(self) -> int:
         """Factor by which the full picture is larger than that in which sources are drawn: 1 for a usual one."""
@@ -199,9 +204,11 @@ class View:
 
     def source_frame(self, *, run: Run = call) -> Float[Array, "sh sw 3"]:
         """Picture in which sources are drawn, linear."""
-        if self.full is None or self.full_frame is None or self.source_factor == self.factor:
+        if self.full is None or self.source_factor == self.factor:
             return self.frame
-        return self.full_frame if self.source_factor == 1 else run(to_linear, self._source_display(self.full, run))
+        if self.source_factor == 1:
+            return self.whole_frame(run=run)
+        return run(to_linear, self._source_display(self.full, run))
 
     def source_surface(
         self, *, run: Run = call

@@ -270,7 +270,7 @@ class Relighter:
         direct = direct_channels(lights, bounces)  # light that gives nothing needs no shading and no cascade
         setup = dataclasses.replace(setup, lights=tuple(lights[k] for k in direct))
         maps = maps and tuple(maps[k] for k in direct)
-        ambient = ambient_filter(lights, setup.reference_lux) if len(direct) < len(lights) else None
+        ambient = run_kept(ambient_filter, lights, setup.reference_lux) if len(direct) < len(lights) else None
         shade = functools.partial(view.shade_stages, setup, shadow_maps=maps, surface_light=light, run=run_kept)
         for stage, result in shade(interleave=interleave):
             known = stage == "shaded" and ambient is not None
