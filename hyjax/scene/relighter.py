@@ -255,10 +255,8 @@ class Relighter:
         scale = self.scale(frame.camera)
         if scale == 1:
             return self._on_device(view_of(frame, gbuffer))
-        full = jax.device_put(frame.image)
-        return self._on_device(
-            camera_view(downsample(full, scale), gbuffer, scaled(frame.camera, scale), full, scale)
-        )
+        full, camera = jax.device_put(frame.image), scaled(frame.camera, scale)
+        return self._on_device(camera_view(downsample(full, scale), gbuffer, camera, full, scale))
 
     def _on_device(self, arrays: T) -> T:
         """Arrays on the device of this relighter, where it has one of its own."""
@@ -270,11 +268,14 @@ class Relighter:
         direct = direct_channels(lights, bounces)  # light that gives nothing needs no shading and no cascade
         setup = dataclasses.replace(setup, lights=tuple(lights[k] for k in direct))
         maps = maps and tuple(maps[k] for k in direct)
-        ambient = run_kept(ambient_filter, lights, setup.reference_lux) if len(direct) < len(lights) else None
         shade = functools.partial(view.shade_stages, setup, shadow_maps=maps, surface_light=light, run=run_kept)
         for stage, result in shade(interleave=interleave):
-            known = stage == "shaded" and ambient is not None
-            yield stage, dataclasses.replace(result, ambient=ambient) if known else result
+            fewer = stage == "shaded" and len(direct) < len(lights)
+            yield stage, dataclasses.replace(result, ambient=self._ambient) if fewer else result
+
+    @functools.cached_property
+    def _ambient(self) -> Float[Array, "3"]:
+        return run_kept(ambient_filter, self.setup.lights, self.setup.reference_lux)
 
     def _light(self) -> tuple[int | None, LightSetup, Maps, SurfaceLight | None]:
         """Lights with their shadow maps and the light on the surface as it is now."""
