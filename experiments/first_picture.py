@@ -59,9 +59,9 @@ def main(config: Config, start: Start) -> None:
     results = start()
     with tempfile.TemporaryDirectory() as temporary:
         cache, out = Path(temporary), Path(temporary) / "out"
-        relight = ["-m", "hyjax.cli", "relight", "--quiet", "--size", config.size, "--out", str(out)]
+        relight = ["-m", "hyjax", "relight", "--quiet", "--size", config.size, "--out", str(out)]
         relight += [] if config.capture is None else ["--capture", str(config.capture)]
-        calls = {f"hyjax {option}": ["-m", "hyjax.cli", option] for option in ("--version", "--help")}
+        calls = {f"hyjax {option}": ["-m", "hyjax", option] for option in ("--version", "--help")}
         calls |= {program: ["-c", program] for program in IMPORTS}
         for number in range(config.cold):
             shutil.rmtree(out, ignore_errors=True)

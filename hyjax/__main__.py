@@ -1,5 +1,6 @@
 """Start of the `hyjax` command: an interrupt is one line even while its modules load."""
 
+import gc
 import os
 import signal
 from typing import NoReturn
@@ -13,6 +14,7 @@ def main() -> None:
     waits = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # a background job ignores it
     if waits:
         signal.signal(signal.SIGINT, _end)
+    gc.disable()  # modules make many objects, and no garbage
     from hyjax import cli
 
     if waits:

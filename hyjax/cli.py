@@ -32,6 +32,8 @@ from hyjax.util.terminal import end_output, open_closed_streams, quiet_libraries
 WITH_CAPTURE = ("relight", "tune", "tour")
 """Commands that take a capture as an option."""
 RENAMED_VALUES = {("--renderer", "hyjax"): "shadow_map"}
+OBJECTS_BEFORE_COLLECTION = 10_000
+"""Number of new objects before Python looks for garbage: tracing makes many."""
 SWITCH_SECONDS = 5e-4
 """Seconds after which a thread that runs Python makes way: those that mostly compute outside wait less for it."""
 
@@ -131,6 +133,8 @@ def main() -> None:
             return
         defer_interrupts()
         command = parse()
+        gc.set_threshold(OBJECTS_BEFORE_COLLECTION)
+        gc.enable()  # off while modules load
         if type(command) in DRAWING:
             from hyjax.util.compiled import compile_beside
 
@@ -328,14 +332,14 @@ KERNELS = tuple(f"hyjax.geometry.{name}" for name in ("fusion_kernel", "raster_k
 
 
 def _keep_for_later() -> None:
-    """Keep memory for the next frame, and compiled programs for the next start; look for garbage less often."""
+    """Keep memory for the next frame, compiled programs for the next start, and modules out of collections."""
     from hyjax.util.memory import keep_freed_memory
 
     keep_freed_memory()  # before the first thread
     from hyjax.util.compiled_cache import keep_compiled
 
     keep_compiled()
-    gc.set_threshold(10_000)  # objects: tracing makes many
+    gc.freeze()
     sys.setswitchinterval(SWITCH_SECONDS)
     warnings.filterwarnings("ignore", "JAXopt is no longer maintained")
 

@@ -1,5 +1,6 @@
 """The commands as a person runs them: as processes."""
 
+import gc
 import json
 import re
 import signal
@@ -17,6 +18,7 @@ from hyjax.cli import main
 from hyjax.core.schedule import Schedule
 from hyjax.data.frames import fit
 from hyjax.data.registry import open_capture
+from hyjax.info import InfoSettings
 from hyjax.light.color import to_linear
 from hyjax.util.images import read_image
 
@@ -85,6 +87,21 @@ def test_info() -> None:
     assert done.returncode == 0 and done.stderr == ""
     for name in ("hyjax", "python", "jax", "numpy", "OpenImageIO", "devices", "cpu cores", "cache"):
         assert re.search(rf"^{name} +\S", done.stdout, re.MULTILINE), name
+
+
+def test_garbage_is_collected_once_the_modules_are_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    during = []
+    monkeypatch.setattr("hyjax.cli.RUNNERS", {InfoSettings: lambda _: during.append(gc.isenabled())})
+    monkeypatch.setattr("hyjax.cli.defer_interrupts", lambda: None)
+    monkeypatch.setattr(sys, "argv", ["hyjax", "info"])
+    threshold = gc.get_threshold()
+    gc.disable()
+    try:
+        main()
+    finally:
+        gc.enable()
+        gc.set_threshold(*threshold)
+    assert during == [True]
 
 
 @pytest.mark.parametrize("frames", [["b", "c"], []])

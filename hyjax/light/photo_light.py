@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from hyjax.light.emission import Emitters
 from hyjax.light.gbuffer import GBuffer
@@ -87,32 +87,46 @@ def bounced_light(
         run: runs the function of each light, whose program serves other set-ups with a light of its kind.
     """
     maps = (None,) * len(lights) if shadow_maps is None else tuple(shadow_maps)
-    total = jnp.zeros_like(photo.illuminance)
-    for light, shadow_map in zip(lights, maps, strict=True):
-        if not light.UNIFORM:
-            total += run(bounced_by, photo, light, shadow_map)
-    return jnp.maximum(total, least_bounced(lights, photo.filled_share))
+    pairs = [pair for pair in zip(lights, maps, strict=True) if not pair[0].UNIFORM]
+    parts = tuple(bounced_by(photo, *pair, run=run) for pair in pairs) or (np.zeros_like(photo.illuminance),)
+    return run(filled_up, parts, tuple(lights), np.float32(photo.filled_share))
+
+
+def bounced_by(
+    photo: PhotoLight, light: Light, shadow_map: ShadowMap | None, *, run: Run = call
+) -> Float[Array, "v 3"]:
+    """Indirect illuminance of the vertices by one light.
+
+    Outliers are held back for each light alone, so that lights add up. Arguments: see `bounced_light`.
+    """
+    return run(bounced_again, photo, run(received, photo, light, shadow_map))
 
 
 @jax.jit
-def bounced_by(photo: PhotoLight, light: Light, shadow_map: ShadowMap | None) -> Float[Array, "v 3"]:
-    """Indirect illuminance of the vertices by one light.
+def received(photo: PhotoLight, light: Light, shadow_map: ShadowMap | None) -> Float[Array, "p 3"]:
+    """Illuminance of the points straight from a light."""
+    position, normal = photo.transport.position[None], photo.transport.normal[None]
+    everywhere = jnp.ones(position.shape[:2])
+    points = GBuffer(position, normal, everywhere, everywhere > 0)
+    return (shade_each(points, [light]) * visibilities(points, [light], [shadow_map]))[0] * light.color
 
-    Outliers are held back for each light alone, so that lights add up.
-    """
+
+@jax.jit
+def bounced_again(photo: PhotoLight, direct: Float[Array, "p 3"]) -> Float[Array, "v 3"]:
+    """Indirect illuminance of the vertices by that of the points, without outliers."""
     transport = photo.transport
-    points = GBuffer(
-        transport.position[None],
-        transport.normal[None],
-        jnp.ones((1, transport.position.shape[0])),
-        jnp.ones((1, transport.position.shape[0]), bool),
-    )
-    channel = shade_each(points, [light]) * visibilities(points, [light], [shadow_map])
-    direct = channel[0] * light.color
     return without_outliers(bounce(transport, photo.albedo, direct)[: transport.vertices], transport.faces)
 
 
-def least_bounced(lights: Sequence[Light], filled_share: float = FILLED_SHARE) -> Float[Array, "3"]:
+@jax.jit
+def filled_up(
+    parts: Sequence[Float[Array, "v 3"]], lights: Sequence[Light], filled_share: Float[ArrayLike, ""]
+) -> Float[Array, "v 3"]:
+    """Sum of the lights' bounces, no less than `least_bounced`."""
+    return jnp.maximum(sum(parts[1:], parts[0]), least_bounced(lights, filled_share))
+
+
+def least_bounced(lights: Sequence[Light], filled_share: Float[ArrayLike, ""] = FILLED_SHARE) -> Float[Array, "3"]:
     """Illuminance that bounces are filled up to, a share of ambient lights'; 0 where there are no other lights.
 
     >>> from hyjax import AmbientLight, PointLight

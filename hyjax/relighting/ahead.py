@@ -15,7 +15,7 @@ from hyjax.guide.choose import FrameGuide
 from hyjax.guide.edge_weights import edge_weights
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
-from hyjax.light.photo_light import SurfaceLight, bounced_by, direct_channels
+from hyjax.light.photo_light import SurfaceLight, bounced_again, direct_channels, received
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import shade_each
@@ -50,8 +50,8 @@ class EvenlyLitPlace:
         """Light of the shapes that the estimate has."""
         mesh = self._scene.caster.arrays
         even, none = (make((len(mesh.vertices), 3), np.float32) for make in (np.ones, np.zeros))
-        parts = (even, none, np.asarray(mesh.faces, np.int32))
-        return SurfaceLight(*map(jax.device_put, parts))
+        arrays: Any = (even, none, np.asarray(mesh.faces, np.int32))  # as JAX's, each operation would be a program
+        return SurfaceLight(*arrays)
 
 
 def is_short(configuration: Configuration) -> bool:
@@ -139,4 +139,6 @@ def compile_ahead(
             maps = scene.shadow_maps(setup, occluders=settings.occluders) if settings.shadows else None
             for light, shadow_map in zip(setup.lights, maps or [None] * len(setup.lights), strict=True):
                 if not light.UNIFORM:
-                    make_ready(bounced_by, expected, light, shadow_map)
+                    make_ready(received, expected, light, shadow_map)
+            direct = jax.ShapeDtypeStruct(expected.transport.position.shape, np.float32)
+            make_ready(bounced_again, expected, direct)

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import numpy as np
@@ -49,7 +50,8 @@ def kinds_of(lights: Sequence[Light]) -> tuple[Bool[np.ndarray, "l"], Bool[np.nd
 
 def paleness(lights: Sequence[Light]) -> Float[np.ndarray, "l"]:
     """Mean of each light's colour over its strongest channel."""
-    return np.array([np.mean(light.color) / np.max(light.color) for light in lights])
+    colors = [np.asarray(light.color) for light in lights]  # as JAX's, each operation would be a program of its own
+    return np.array([color.mean() / color.max() for color in colors])
 
 
 def assumed_response(lights: Sequence[Light], lux: Float[np.ndarray, "n l"], seen: SeenSurface) -> Response:
@@ -71,7 +73,8 @@ def measured_response(lights: Sequence[Light], seen: SeenSurface, photo: PhotoLi
     nowhere = np.zeros(len(position), int)
     lux = SeenSurface(seen.caster, position, normal, nowhere, nowhere).lux(lights) * paleness(lights)
     direct = np.stack([lux[:, chosen].sum(axis=1) for chosen in kinds_of(lights)] + [np.zeros(len(lux))], axis=1)
-    transport = dataclasses.replace(whole, hits=whole.hits[::BOUNCE_RAY_STEP])
+    hits: Any = np.asarray(whole.hits)[::BOUNCE_RAY_STEP]
+    transport = dataclasses.replace(whole, hits=hits)
     arrays = (jax.device_put(np.asarray(a, np.float32)) for a in (np.tile(albedo, 3), direct))
     bounced = seen.of_vertices(np.asarray(run_kept(bounce, transport, *arrays))[: whole.vertices])
     light = np.maximum(np.asarray(photo.illuminance), LEAST_PHOTO_LIGHT)

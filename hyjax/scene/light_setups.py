@@ -11,7 +11,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from hyjax.light.color import blackbody
 from hyjax.light.kinds import AmbientLight, DirectionalLight, Light, PointLight, RectLight, SkyLight
@@ -23,6 +23,7 @@ from hyjax.scene.exposure import LARGEST_FILTER, Exposure, bounded, exposed, war
 from hyjax.scene.light_places import LightAnchors, Vector, WindowPlace
 from hyjax.scene.light_response import assumed_response, measured_response
 from hyjax.util.errors import InputError, did_you_mean
+from hyjax.util.programs import run_kept
 from hyjax.util.vectors import unit
 
 SUN_TANGENTS = (0.35, -0.35, 0.0, 0.7, -0.7, 1.2, -1.2)
@@ -60,24 +61,24 @@ DARK_SETUPS = ("night-moon",)
 
 def noon_window(anchors: LightAnchors) -> LightSetup:
     """Bright day: sky and sun through the windows."""
-    sun = _sun(anchors, (35.0, 30.0, 55.0), 900.0, blackbody(5600.0))
-    return LightSetup((*_sky(anchors, NOON_SKY, blackbody(7000.0)), AmbientLight(60.0, blackbody(6000.0)), *sun))
+    sun = _sun(anchors, (35.0, 30.0, 55.0), 900.0, _hue(5600.0))
+    return LightSetup((*_sky(anchors, NOON_SKY, _hue(7000.0)), AmbientLight(60.0, _hue(6000.0)), *sun))
 
 
 def golden_hour(anchors: LightAnchors) -> LightSetup:
     """Low warm sun."""
-    sun = _sun(anchors, (13.0, 10.0, 28.0), 700.0, blackbody(LOW_SUN))
-    sky = _sky(anchors, EVENING_SKY, blackbody(SUNSET_SKY))
-    return LightSetup((*sky, AmbientLight(28.0, blackbody(4200.0)), *sun))
+    sun = _sun(anchors, (13.0, 10.0, 28.0), 700.0, _hue(LOW_SUN))
+    sky = _sky(anchors, EVENING_SKY, _hue(SUNSET_SKY))
+    return LightSetup((*sky, AmbientLight(28.0, _hue(4200.0)), *sun))
 
 
 def evening_lamps(anchors: LightAnchors) -> LightSetup:
     """Lit lamps, blue dusk outside. With the camera's white balance 2700 K looks like 4000 K."""
-    warm = blackbody(4000.0)
+    warm = _hue(4000.0)
     lamps = [
         PointLight(place, LAMP_LUMENS, warm, radius=0.06, clearance=0.3) for place in anchors.lamps[:MOST_LAMPS]
     ]
-    return LightSetup((*lamps, *_sky(anchors, DUSK_SKY, blackbody(12000.0)), AmbientLight(8.0, blackbody(4300.0))))
+    return LightSetup((*lamps, *_sky(anchors, DUSK_SKY, _hue(12000.0)), AmbientLight(8.0, _hue(4300.0))))
 
 
 def night_moon(anchors: LightAnchors) -> LightSetup:
@@ -146,6 +147,10 @@ def placed_setup(name: str, anchors: LightAnchors) -> LightSetup:
     if name not in EXPOSURES:
         setup, _ = _not_dark(setup, anchors.seen.lux(setup.lights), anchors)
     return _on_device(setup)
+
+
+def _hue(kelvin: float) -> Float[Array, "3"]:
+    return run_kept(blackbody, np.float32(kelvin))
 
 
 def _on_device(setup: LightSetup) -> LightSetup:

@@ -256,7 +256,7 @@ class Relighter:
         if scale == 1:
             return self._on_device(view_of(frame, gbuffer))
         full, camera = jax.device_put(frame.image), scaled(frame.camera, scale)
-        return self._on_device(camera_view(downsample(full, scale), gbuffer, camera, full, scale))
+        return self._on_device(camera_view(run_kept(downsample, full, factor=scale), gbuffer, camera, full, scale))
 
     def _on_device(self, arrays: T) -> T:
         """Arrays on the device of this relighter, where it has one of its own."""

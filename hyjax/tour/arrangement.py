@@ -278,7 +278,7 @@ class Arrangement:
 
         def make() -> Float[Array, "v 3"]:
             points, shadow_map = self._points(coarse), self._shadow_map(light, (1.0, None), coarse)
-            return jax.block_until_ready(run_kept(bounced_by, points, unit, shadow_map))
+            return jax.block_until_ready(bounced_by(points, unit, shadow_map, run=run_kept))
 
         return self._caches.bounces(geometry if coarse else fine, make)
 

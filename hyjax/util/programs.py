@@ -18,7 +18,7 @@ import platform
 import re
 import secrets
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Generic, ParamSpec, TypeVar
 
@@ -37,6 +37,8 @@ SOURCES = ("core", "light", "util", "pipeline.py")
 """Sources of kept programs: the pure layers."""
 CASCADES = ("pipeline.refine_illuminance", "pipeline.refine_visibility")
 """Functions that are mostly cascades."""
+LONG = ("light.photo_light.bounced_again",)
+"""Functions that are optimised at once: without it, they run longer than that takes."""
 MOST_BYTES = 300_000_000
 """Most bytes of kept programs, some four million a size of picture; those that were used longest ago go first."""
 OPTION = re.compile("XLA_|JAX_(?!.*_CACHE(?:_|$))")
@@ -48,8 +50,8 @@ _log = logging.getLogger(__name__)
 _folder: Path | None = None
 _told = False
 _lock = threading.Lock()
-_functions: dict[Callable[..., Any], Any] = {}
-"""Functions that have been run, with their programs."""
+_functions: dict[tuple[Any, ...], Any] = {}
+"""Programs of functions that have been run, by function and names of static arguments."""
 
 
 def keep_programs(folder: Path | None) -> None:
@@ -71,14 +73,14 @@ class KeptFunction(Generic[P, T]):
 
     Args:
         function: of arrays, or pytrees of them.
-        static: name of a keyword argument that programs are made for each value of.
+        static: names of keyword arguments that programs are made for each value of.
     """
 
-    def __init__(self, function: Callable[P, T], static: str | None = None) -> None:
+    def __init__(self, function: Callable[P, T], static: Iterable[str] = ()) -> None:
         functools.update_wrapper(self, function)
         self._name = f"{function.__module__}.{function.__qualname__}".removeprefix("hyjax.")
-        self._function, self._static = function, static
-        self._jitted = jax.jit(function, static_argnames=static)
+        self._function, self._static = function, tuple(sorted(static))
+        self._jitted = jax.jit(function, static_argnames=self._static)
         self._ready: dict[Any, Callable[..., T]] = {}
         self._making: dict[Any, threading.Lock] = {}
         self._to_optimise: dict[Any, Callable[[], None]] = {}
@@ -96,12 +98,12 @@ class KeptFunction(Generic[P, T]):
 
     def _made(self, args: Any, kwargs: dict[str, Any]) -> tuple[Callable[..., T], dict[str, Any]]:
         """Program for arguments, and the named ones that it takes."""
-        arrays = {name: value for name, value in kwargs.items() if name != self._static}
+        arrays = {name: value for name, value in kwargs.items() if name not in self._static}
         leaves, tree = jax.tree.flatten((args, arrays))
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             return self._jitted, kwargs
         key = (
-            kwargs.get(self._static or ""),
+            tuple((name, kwargs[name]) for name in self._static if name in kwargs),
             tree,
             *((np.shape(leaf), jax.numpy.result_type(leaf)) for leaf in leaves),
         )
@@ -114,17 +116,16 @@ class KeptFunction(Generic[P, T]):
 
     def _program(self, key: tuple[Any, ...], args: Any, kwargs: Any) -> Callable[..., T]:
         static, tree, *shapes = key
-        given = {} if static is None or self._static is None else {self._static: static}
-        function = functools.partial(self._function, **given)
+        function = functools.partial(self._function, **dict(static))
         if _folder is None or len(jax.local_devices()) > 1 or not _is_known(tree):
-            return functools.partial(self._jitted, **given)
+            return functools.partial(self._jitted, **dict(static))
         signature = repr((static, str(tree), [(shape, str(dtype)) for shape, dtype in shapes]))
         here = f"{self._name}-{_surroundings()}"
         file = _folder / f"{here}-{hashlib.sha256(signature.encode()).hexdigest()[:24]}.program"
         quick_file = file.with_suffix(QUICK_SUFFIX)
         if (program := _read_kept(file, tree)) is not None:
             return program
-        quick = are_quick()
+        quick = are_quick() and self._name not in LONG
         if quick and (program := _read_kept(quick_file, tree)) is not None:
             shaped = jax.tree.map(_shape_of, (args, kwargs))
             self._to_optimise[key] = functools.partial(
@@ -178,22 +179,23 @@ def run_kept(function: Callable[..., Any], *arrays: Any, **static: Any) -> Any:
         arrays: arguments by place, or pytrees of them.
         static: arguments by name that programs are made for each value of.
     """
-    if _folder is None or len(static) > 1:
+    if _folder is None:
         return function(*arrays, **static)
     return _kept(function, static)(*arrays, **static)
 
 
 def make_ready(function: Callable[..., Any], *arrays: Any, **static: Any) -> None:
     """Read or compile a function's kept program, if any are kept, without running it. Arguments: see `run_kept`."""
-    if _folder is not None and len(static) <= 1:
+    if _folder is not None:
         _kept(function, static).make_ready(*arrays, **static)
 
 
-def _kept(function: Callable[..., Any], static: dict[str, Any]) -> KeptFunction[..., Any]:
+def _kept(function: Callable[..., Any], static: Iterable[str]) -> KeptFunction[..., Any]:
+    key = function, *sorted(static)
     with _lock:
-        if function not in _functions:
-            _functions[function] = KeptFunction(function, next(iter(static), None))
-        return _functions[function]
+        if key not in _functions:
+            _functions[key] = KeptFunction(function, static)
+        return _functions[key]
 
 
 def _lowered(function: Callable[..., Any], name: str, args: Any, kwargs: Any) -> jax.stages.Lowered:

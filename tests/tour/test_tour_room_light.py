@@ -94,9 +94,9 @@ def test_what_was_brought_in_gets_mean_bounces(renderer: Renderer, tmp_path: Pat
 def test_bounces_are_computed_once_a_light(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 
-    def counted(*args: object) -> object:
+    def counted(*args: object, **options: object) -> object:
         calls.append(args)
-        return bounced(*args)  # type: ignore[arg-type]
+        return bounced(*args, **options)  # type: ignore[arg-type]
 
     bounced = arrangement_module.bounced_by
     monkeypatch.setattr(arrangement_module, "bounced_by", counted)

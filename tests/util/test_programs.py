@@ -271,9 +271,9 @@ def test_a_folder_that_cannot_be_written_costs_time_only(tmp_path: Path, monkeyp
 def test_programs_are_forgotten_before_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(programs, "_folder", tmp_path)
     before = programs.run_kept(_doubled, jnp.ones(3))
-    assert not programs.forget_programs_in_time() and programs._functions[_doubled]._ready
+    assert not programs.forget_programs_in_time() and programs._functions[(_doubled,)]._ready
     monkeypatch.setattr(programs, "MOST_AREAS", 0.0)
-    assert programs.forget_programs_in_time() and _doubled not in programs._functions
+    assert programs.forget_programs_in_time() and (_doubled,) not in programs._functions
     np.testing.assert_array_equal(programs.run_kept(_doubled, jnp.ones(3)), before)
 
 
@@ -281,7 +281,20 @@ def _doubled(x: jax.Array) -> jax.Array:
     return 2.0 * x
 
 
-def test_cascades_with_options_of_their_own_exist() -> None:
-    for name in programs.CASCADES:
+def _powered(x: jax.Array, *, factor: float = 1.0, power: int = 1) -> jax.Array:
+    return factor * x**power
+
+
+def test_programs_are_kept_for_every_value_of_all_fixed_arguments(folder: Path) -> None:
+    x = jnp.arange(3.0)
+    for fixed in ({}, {"factor": 2.0}, {"power": 2}, {"factor": 2.0, "power": 2}, {"power": 2, "factor": 3.0}):
+        np.testing.assert_array_equal(programs.run_kept(_powered, x, **fixed), _powered(x, **fixed))
+    assert len(list(folder.iterdir())) == 5
+    programs.make_ready(_powered, x, power=2, factor=3.0)
+    assert len(list(folder.iterdir())) == 5
+
+
+def test_functions_with_options_of_their_own_exist() -> None:
+    for name in (*programs.CASCADES, *programs.LONG):
         module, function = name.rsplit(".", 1)
         assert callable(getattr(importlib.import_module(f"hyjax.{module}"), function))
