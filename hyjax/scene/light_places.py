@@ -49,6 +49,8 @@ WINDOW_WIDTH, WINDOW_HEIGHT = 1.6, 1.2
 """Size, in metres, of a window that is made up."""
 WALL_DISTANCES = (0.6, 6.0)
 """Least and largest distance, in metres, of a wall for a window from the middle of a stop."""
+LARGEST_RELIEF, RELIEF_RAYS = 0.25, 13
+"""Largest height, in metres, of what stands out of a window's wall; number of rays along each side that find it."""
 OUTER_DEPTH = (0.15, 3.0)
 """Depths, in metres, behind an outer wall between which nothing was scanned."""
 LEAST_OPEN = 0.5
@@ -266,7 +268,8 @@ def _made_up_window(caster: RayCaster, seen: SeenSurface, stop: Stop, up: Vector
         center = middle + (distance - 0.02) * ray
         behind = center - OUTER_DEPTH[0] * inward
         if _free(caster, behind, -inward) > OUTER_DEPTH[1]:
-            places.append(WindowPlace(center, inward, WINDOW_WIDTH, WINDOW_HEIGHT))
+            place = WindowPlace(center, inward, WINDOW_WIDTH, WINDOW_HEIGHT)
+            places.append(_before_relief(caster, place, up))
     if not places:  # beside the view, to the side with more room
         for side in rays[[AZIMUTHS // 4, 3 * AZIMUTHS // 4]]:
             reach = min(_free(caster, middle, side), 2.5)
@@ -276,6 +279,16 @@ def _made_up_window(caster: RayCaster, seen: SeenSurface, stop: Stop, up: Vector
     lights = [RectLight.filling(place.opening(up), 1000.0, np.ones(3)) for place in places]
     lux = seen.chosen(stop.points).lux(lights)
     return places[int(np.argmax(np.log(lux + 1.0).mean(axis=0)))]
+
+
+def _before_relief(caster: RayCaster, window: WindowPlace, up: Vector) -> WindowPlace:
+    """Window before all of its uneven wall, which would cut its light to patches."""
+    opening, (across, along) = window.opening(up), np.meshgrid(*2 * [np.linspace(-1.0, 1.0, RELIEF_RAYS)])
+    spread = across[..., None] * np.asarray(opening.right) + along[..., None] * np.asarray(opening.up)
+    starts = window.center + LARGEST_RELIEF * window.inward + spread.reshape(-1, 3)
+    distance = caster.cast(starts, np.broadcast_to(-window.inward, starts.shape)).distance.min()
+    relief = max(0.0, LARGEST_RELIEF - float(distance))
+    return dataclasses.replace(window, center=window.center + relief * window.inward)
 
 
 def _around(caster: RayCaster, stop: Stop, up: Vector) -> tuple[Vector, Float[np.ndarray, "a 3"], Hits]:

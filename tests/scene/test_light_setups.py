@@ -179,6 +179,23 @@ def test_made_up_window_faces_what_is_looked_at(box: RayCaster) -> None:
     assert len(stage.lamps) == len(stage.points) == 2
 
 
+def test_what_stands_out_of_its_wall_does_not_cut_the_light_of_a_made_up_window(box: RayCaster) -> None:
+    """As mullions of a glass wall do: its light would end up in single spots."""
+    posts = [
+        trimesh.creation.box(bounds=[[x - 0.04, y - 0.04, 0.0], [x + 0.04, y + 0.04, 2.5]])
+        for x, y in [(x, y) for x in np.arange(-2.0, 2.1, 0.5) for y in (-3.0, 3.0)]
+        + [(x, y) for y in np.arange(-3.0, 3.1, 0.5) for x in (-2.0, 2.0)]
+    ]
+    caster = RayCaster(trimesh.util.concatenate([box.mesh, *posts]))
+    (window,) = survey(caster, BOX_CAMERAS, UP).windows
+    opening = window.opening(UP)
+    grid = np.stack(np.meshgrid(*2 * [np.linspace(-0.99, 0.99, 25)]), -1).reshape(-1, 2)
+    points = np.asarray(opening.center) + grid @ np.stack([opening.right, opening.up])
+    inward = np.broadcast_to(0.2 * window.inward, points.shape)
+    assert not window.in_free_space and not caster.occluded(points, inward, 1.0).any()
+    assert caster.occluded(points, -inward, 1.0).all(), "it stands before its wall"
+
+
 def lamp_lux(stage: LightAnchors) -> np.ndarray:
     """Median illuminance of what each camera sees by the lamps, in lux."""
     lamps = [PointLight(lamp, 900.0, np.ones(3), radius=0.06, clearance=0.3) for lamp in stage.lamps]
