@@ -92,7 +92,7 @@ class SourcePixels:
     Attributes:
         weight: how far a pixel belongs to a source, in [0, 1].
         source: which one, panes first; -1 for none.
-        pattern: of its light, relative to its mean.
+        pattern: of its light, relative to its mean; of a lamp, the share of its light that a pixel has.
         framed: how far a pixel belongs to the frame or the bars of a window.
     """
 
@@ -195,7 +195,7 @@ def upscaled_depth(
 @jax.jit
 def shine(emitters: Emitters, pixels: SourcePixels, frame: Float[Array, "h w 3"]) -> Emission:
     """Emission of the pixels of panes and lamps under new lights."""
-    sent, reflectance = jnp.zeros_like(frame), jnp.zeros_like(frame)
+    sent, reflectance, weight = jnp.zeros_like(frame), jnp.zeros_like(frame), pixels.weight
     shares = [PANE_REFLECTANCE] * len(emitters.panes) + [LAMP_REFLECTANCE] * len(emitters.lamps)
     count, light = len(emitters.panes), emitters.sent * emitters.mean
     light = jnp.concatenate([_view_light(light[:count], emitters.pane_means), light[count:]])
@@ -206,9 +206,12 @@ def shine(emitters: Emitters, pixels: SourcePixels, frame: Float[Array, "h w 3"]
         # The kept part of the photo holds its reflections, too.
         reflected = share * emitters.mean * jnp.maximum(1.0 - emitters.kept[k], 0.0)
         reflectance = jnp.where(here, reflected, reflectance)
+        if k >= count:  # a lamp that shines has the photo's soft rim
+            lit = jnp.minimum(jnp.max(light[k]), 1.0)
+            weight = jnp.where(here, weight * (1.0 + lit * (pixels.pattern[..., :1] - 1.0)), weight)
     # White paint at most, lit by the sky beside it. Not where panes shine on: their frames are the photo's, too.
     framed = pixels.framed * jnp.all(emitters.kept[:count] == 0)
-    return Emission(pixels.weight, sent, reflectance, framed * frame / (FRAME_REFLECTANCE * emitters.mean))
+    return Emission(weight, sent, reflectance, framed * frame / (FRAME_REFLECTANCE * emitters.mean))
 
 
 @jax.jit
@@ -234,8 +237,9 @@ def source_pixels(
     panes = emitters.panes, emitters.bars, emitters.pane_means
     glass, framed = pane_shares(*panes, frame, depth, pose, intrinsics)
     shares = list(glass)
-    # A lamp's rim is mixed with what lies behind it, and would stay as a bright ring.
+    # A dark lamp's rim is mixed with what lies behind it, and would stay as a bright ring.
     brightness, rim = jnp.min(frame, axis=-1), 2 * -(-frame.shape[1] // RIM_WIDTH) + 1
+    burnt = ramp(brightness, LAMP_DARK, LAMP_BRIGHT)[..., None]
     for window in ((rim, 1), (1, rim)):
         brightness = jax.lax.reduce_window(brightness, -jnp.inf, jax.lax.max, window, (1, 1), "SAME")
     for *place, radius in emitters.lamps:
@@ -246,7 +250,7 @@ def source_pixels(
         cover *= (along > 0) & (depth > along - 2 * radius - PANE_SLACK)
         shares.append(cover * ramp(brightness, LAMP_DARK, LAMP_BRIGHT))
     for k, share in enumerate(shares):
-        shown = jnp.ones(3)
+        shown = burnt
         if k < len(emitters.panes):
             mean = emitters.pane_means[k]
             shown = 1.0 + lit_degree(mean) * (frame / jnp.maximum(mean, 1e-3) - 1.0)  # of a dark pane, an even sky

@@ -171,6 +171,22 @@ def test_a_lamps_rim_goes_out_with_it() -> None:
     assert weight[9:16, 13:20].min() == 1.0 and weight[7, 16] == weight[12, 10] == 0.0
 
 
+def test_a_lamp_that_shines_has_the_photos_soft_rim() -> None:
+    """Those same pixels would else give it steps as wide as they are, in the bulb's full light."""
+    lamp = emitters(np.full((1, 3), 40.0), panes=np.zeros((0, 3, 3)), lamps=np.array([[2.0, 0.0, 0.0, 0.5]]))
+    photo = np.full((24, 32, 3), 0.1, np.float32)
+    photo[9:16, 13:20], photo[10:15, 14:19], photo[11:14, 15:18] = 0.6, 0.85, 1.0
+    shining = found(lamp, jnp.asarray(photo), wall(2.0))
+    given = np.asarray(shining.weight * shining.sent)[..., 0]
+    assert (given[11:14, 15:18] == 20.0).all() and given[9, 13:20].max() == 0.0
+    assert 0.0 < given[10, 16] < 0.5 * 20.0
+    weights = [
+        float(found(dataclasses.replace(lamp, sent=jnp.full((1, 3), sent)), photo, wall(2.0)).weight[9, 16, 0])
+        for sent in (0.0, 0.5, 1.0, 2.0)
+    ]
+    assert weights == pytest.approx([0.5, 0.375, 0.25, 0.0], abs=1e-5), "from off to on without a step"
+
+
 @pytest.mark.parametrize(("bright", "is_lamp"), [(0.77, False), (1.0, True)])
 def test_before_a_pane_a_lamp_has_the_pixels_that_are_more_its_own(bright: float, is_lamp: bool) -> None:
     frame, sent = jnp.full((*LENS.shape, 3), bright), np.array([[2.0] * 3, [0.0] * 3])

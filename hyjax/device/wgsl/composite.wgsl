@@ -82,6 +82,7 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, own_depth: f32, shining: vec3
     let darkest = min(photo.x, min(photo.y, photo.z));
     let hole = frame.counts.w == 1u && own_depth <= 0.0; // of the mesh, which has no glass
     var weight = 0.0;
+    var shown = 1.0; // of the weight
     var sent = vec3<f32>(0.0);
     var shines_on = false;
     framed = 0.0;
@@ -133,9 +134,12 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, own_depth: f32, shining: vec3
         if (cover > 0.0 && cover >= weight) {
             weight = cover;
             let kept = emitters[first + 2u].xyz;
-            sent = emitters[first + 1u].xyz * frame.mean.xyz + kept * photo
+            let light = emitters[first + 1u].xyz * frame.mean.xyz;
+            let burnt = smoothstep(0.75, 0.95, darkest);
+            shown = mix(1.0, burnt, min(max(light.x, max(light.y, light.z)), 1.0)); // if it shines, the photo's soft rim
+            sent = light * burnt + kept * photo
                 + LAMP_REFLECTANCE * frame.mean.xyz * max(1.0 - kept, vec3<f32>(0.0)) * shining;
         }
     }
-    return vec4<f32>(sent, weight);
+    return vec4<f32>(sent, weight * shown);
 }
