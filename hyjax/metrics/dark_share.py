@@ -57,9 +57,16 @@ def dark_share(photo: Float[np.ndarray, "h w 3"], relit: Float[np.ndarray, "h w 
     Args:
         photo, relit: display values.
     """
-    pictures = [np.asarray(x)[::STRIDE, ::STRIDE] for x in (photo, relit)]
-    means = [picture.mean(axis=-1) for picture in pictures]
-    black = [float((mean < BLACK_VALUE).mean()) for mean in means]
-    burnt = [float((mean >= BURNT_VALUE).mean()) for mean in means]
-    clipped = [float((picture.max(axis=-1) >= BURNT_VALUE).mean()) for picture in pictures]
+    black, burnt, clipped = zip(*map(_shares, (photo, relit)))
     return DarkShare(*black, *burnt, *clipped)
+
+
+def _shares(picture: Float[np.ndarray, "h w 3"]) -> tuple[float, float, float]:
+    """Shares of nearly black and burnt-out pixels, and of those with a burnt-out channel."""
+    # By channels: NumPy takes ten times longer along an axis of three.
+    red, green, blue = np.ascontiguousarray(np.moveaxis(np.asarray(picture)[::STRIDE, ::STRIDE], -1, 0))
+    mean, largest = (red + green + blue) / 3, np.maximum(np.maximum(red, green), blue)
+    black, burnt, clipped = (
+        mask.mean() for mask in (mean < BLACK_VALUE, mean >= BURNT_VALUE, largest >= BURNT_VALUE)
+    )
+    return float(black), float(burnt), float(clipped)

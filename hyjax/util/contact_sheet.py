@@ -72,4 +72,4 @@ def _sheet(
 def _fitted(picture: Picture, height: int, width: int) -> Image.Image:
     pixels = picture if picture.dtype == np.uint8 else to_bytes(picture)
     image = Image.fromarray(np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3))))
-    return image.resize((width, height), Image.Resampling.LANCZOS, reducing_gap=3.0)
+    return image.resize((width, height), Image.Resampling.HAMMING, reducing_gap=3.0)
