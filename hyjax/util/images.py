@@ -24,8 +24,8 @@ NO_DATE = "1970:01:01 00:00:00"
 NO_DETAIL = "no further detail"
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 PNG_OPTIONS: dict[str, str | int] = {"compression": "huffman", "png:compressionLevel": 1, "png:filter": 64}
-"""Compression of PNG, by Huffman's code alone, and its filter, the mean of the pixels before and above: much faster
-than the usual search for repeated bytes, of which photos have few, for files that are no larger."""
+"""Compression of PNG, by Huffman's code alone, and its filter, the mean of the pixels before and above: faster than a
+search for repeated bytes, of which photos have few. Flat pictures take more space by it."""
 
 
 def read_image(path: Path, where: str | None = None) -> Float[np.ndarray, "h w c"]:
