@@ -14,7 +14,7 @@ def main() -> None:
     waits = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # a background job ignores it
     if waits:
         signal.signal(signal.SIGINT, _end)
-    gc.disable()  # modules make many objects, and no garbage
+    gc.disable()  # until the command is known: modules make many objects, and little garbage
     from hyjax import cli
 
     if waits:

@@ -134,7 +134,7 @@ def main() -> None:
         defer_interrupts()
         command = parse()
         gc.set_threshold(OBJECTS_BEFORE_COLLECTION)
-        gc.enable()  # off while modules load
+        gc.enable()  # off until here
         if type(command) in DRAWING:
             from hyjax.util.compiled import compile_beside
 

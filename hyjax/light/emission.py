@@ -206,8 +206,8 @@ def shine(emitters: Emitters, pixels: SourcePixels, frame: Float[Array, "h w 3"]
         # The kept part of the photo holds its reflections, too.
         reflected = share * emitters.mean * jnp.maximum(1.0 - emitters.kept[k], 0.0)
         reflectance = jnp.where(here, reflected, reflectance)
-        if k >= count:  # a lamp that shines has the photo's soft rim
-            lit = jnp.minimum(jnp.max(light[k]), 1.0)
+        if k >= count:  # a lamp that goes on has the photo's soft rim
+            lit = jnp.clip(jnp.max(light[k]), 0.0, 1.0) * jnp.clip(1.0 - jnp.max(emitters.kept[k]), 0.0, 1.0)
             weight = jnp.where(here, weight * (1.0 + lit * (pixels.pattern[..., :1] - 1.0)), weight)
     # White paint at most, lit by the sky beside it. Not where panes shine on: their frames are the photo's, too.
     framed = pixels.framed * jnp.all(emitters.kept[:count] == 0)

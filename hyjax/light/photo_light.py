@@ -88,8 +88,8 @@ def bounced_light(
     """
     maps = (None,) * len(lights) if shadow_maps is None else tuple(shadow_maps)
     pairs = [pair for pair in zip(lights, maps, strict=True) if not pair[0].UNIFORM]
-    parts = tuple(bounced_by(photo, *pair, run=run) for pair in pairs) or (np.zeros_like(photo.illuminance),)
-    return run(filled_up, parts, tuple(lights), np.float32(photo.filled_share))
+    parts = [bounced_by(photo, *pair, run=run) for pair in pairs] or [jnp.zeros(photo.illuminance.shape)]
+    return run(filled_up, parts, _filling(lights), np.float32(photo.filled_share))
 
 
 def bounced_by(
@@ -99,34 +99,36 @@ def bounced_by(
 
     Outliers are held back for each light alone, so that lights add up. Arguments: see `bounced_light`.
     """
-    return run(bounced_again, photo, run(received, photo, light, shadow_map))
+    return run(
+        interreflection, photo.transport, photo.albedo, run(direct_light, photo.transport, light, shadow_map)
+    )
 
 
 @jax.jit
-def received(photo: PhotoLight, light: Light, shadow_map: ShadowMap | None) -> Float[Array, "p 3"]:
+def direct_light(transport: Transport, light: Light, shadow_map: ShadowMap | None) -> Float[Array, "p 3"]:
     """Illuminance of the points straight from a light."""
-    position, normal = photo.transport.position[None], photo.transport.normal[None]
-    everywhere = jnp.ones(position.shape[:2])
-    points = GBuffer(position, normal, everywhere, everywhere > 0)
+    everywhere = jnp.ones((1, len(transport.position)))
+    points = GBuffer(transport.position[None], transport.normal[None], everywhere, everywhere > 0)
     return (shade_each(points, [light]) * visibilities(points, [light], [shadow_map]))[0] * light.color
 
 
 @jax.jit
-def bounced_again(photo: PhotoLight, direct: Float[Array, "p 3"]) -> Float[Array, "v 3"]:
+def interreflection(
+    transport: Transport, albedo: Float[Array, "p 3"], direct: Float[Array, "p 3"]
+) -> Float[Array, "v 3"]:
     """Indirect illuminance of the vertices by that of the points, without outliers."""
-    transport = photo.transport
-    return without_outliers(bounce(transport, photo.albedo, direct)[: transport.vertices], transport.faces)
+    return without_outliers(bounce(transport, albedo, direct)[: transport.vertices], transport.faces)
 
 
 @jax.jit
 def filled_up(
-    parts: Sequence[Float[Array, "v 3"]], lights: Sequence[Light], filled_share: Float[ArrayLike, ""]
+    parts: Sequence[Float[Array, "v 3"]], filling: Sequence[Light], filled_share: Float[ArrayLike, ""]
 ) -> Float[Array, "v 3"]:
-    """Sum of the lights' bounces, no less than `least_bounced`."""
-    return jnp.maximum(sum(parts[1:], parts[0]), least_bounced(lights, filled_share))
+    """Sum of the lights' bounces, no less than a share of the ambient lights that fill them up."""
+    return jnp.maximum(sum(parts[1:], parts[0]), _filled(filling, filled_share))
 
 
-def least_bounced(lights: Sequence[Light], filled_share: Float[ArrayLike, ""] = FILLED_SHARE) -> Float[Array, "3"]:
+def least_bounced(lights: Sequence[Light], filled_share: float = FILLED_SHARE) -> Float[Array, "3"]:
     """Illuminance that bounces are filled up to, a share of ambient lights'; 0 where there are no other lights.
 
     >>> from hyjax import AmbientLight, PointLight
@@ -134,11 +136,18 @@ def least_bounced(lights: Sequence[Light], filled_share: Float[ArrayLike, ""] = 
     >>> least_bounced(lights).tolist(), least_bounced(lights[:1]).tolist()
     ([25.0, 25.0, 25.0], [0.0, 0.0, 0.0])
     """
-    ambient = [light for light in lights if light.UNIFORM]
-    least = jnp.zeros(3)
-    for light in ambient if len(ambient) < len(lights) else []:
-        least += filled_share * jnp.asarray(getattr(light, light.STRENGTH)) * jnp.asarray(light.color)
-    return least
+    return _filled(_filling(lights), filled_share)
+
+
+def _filling(lights: Sequence[Light]) -> tuple[Light, ...]:
+    """Ambient lights that fill up the bounces of others; none where there are no others."""
+    ambient = tuple(light for light in lights if light.UNIFORM)
+    return ambient if len(ambient) < len(lights) else ()
+
+
+def _filled(filling: Sequence[Light], filled_share: Float[ArrayLike, ""]) -> Float[Array, "3"]:
+    parts = [jnp.asarray(getattr(light, light.STRENGTH)) * jnp.asarray(light.color) for light in filling]
+    return jnp.asarray(filled_share) * sum(parts, jnp.zeros(3))
 
 
 @jax.tree_util.register_dataclass

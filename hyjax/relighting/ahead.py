@@ -15,7 +15,7 @@ from hyjax.guide.choose import FrameGuide
 from hyjax.guide.edge_weights import edge_weights
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
-from hyjax.light.photo_light import SurfaceLight, bounced_again, direct_channels, received
+from hyjax.light.photo_light import SurfaceLight, direct_channels, direct_light, interreflection
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
 from hyjax.light.shading import shade_each
@@ -137,8 +137,8 @@ def compile_ahead(
             jax.block_until_ready(refined_picture(lit, configuration))
         if (expected := scene.photo_light.expected()) is not None:
             maps = scene.shadow_maps(setup, occluders=settings.occluders) if settings.shadows else None
+            direct = jax.ShapeDtypeStruct(expected.transport.position.shape, np.float32)
             for light, shadow_map in zip(setup.lights, maps or [None] * len(setup.lights), strict=True):
                 if not light.UNIFORM:
-                    make_ready(received, expected, light, shadow_map)
-            direct = jax.ShapeDtypeStruct(expected.transport.position.shape, np.float32)
-            make_ready(bounced_again, expected, direct)
+                    make_ready(direct_light, expected.transport, light, shadow_map)
+                    make_ready(interreflection, expected.transport, expected.albedo, direct)

@@ -49,7 +49,7 @@ WINDOW_WIDTH, WINDOW_HEIGHT = 1.6, 1.2
 """Size, in metres, of a window that is made up."""
 WALL_DISTANCES = (0.6, 6.0)
 """Least and largest distance, in metres, of a wall for a window from the middle of a stop."""
-LARGEST_RELIEF, RELIEF_RAYS = 0.25, 13
+LARGEST_RELIEF, RELIEF_RAYS = 0.25, 41
 """Largest height, in metres, of what stands out of a window's wall; number of rays along each side that find it."""
 OUTER_DEPTH = (0.15, 3.0)
 """Depths, in metres, behind an outer wall between which nothing was scanned."""
@@ -285,9 +285,10 @@ def _before_relief(caster: RayCaster, window: WindowPlace, up: Vector) -> Window
     """Window before all of its uneven wall, which would cut its light to patches."""
     opening, (across, along) = window.opening(up), np.meshgrid(*2 * [np.linspace(-1.0, 1.0, RELIEF_RAYS)])
     spread = across[..., None] * np.asarray(opening.right) + along[..., None] * np.asarray(opening.up)
-    starts = window.center + LARGEST_RELIEF * window.inward + spread.reshape(-1, 3)
-    distance = caster.cast(starts, np.broadcast_to(-window.inward, starts.shape)).distance.min()
-    relief = max(0.0, LARGEST_RELIEF - float(distance))
+    middle, ways = window.center + LARGEST_RELIEF * window.inward, spread.reshape(-1, 3)
+    starts = middle + ways[~caster.occluded(middle, ways, 1.0)]  # not in the next room
+    distance = caster.cast(starts, np.broadcast_to(-window.inward, starts.shape)).distance
+    relief = max(0.0, LARGEST_RELIEF - float(distance.min(initial=np.inf)))
     return dataclasses.replace(window, center=window.center + relief * window.inward)
 
 

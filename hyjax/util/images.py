@@ -23,9 +23,9 @@ NO_DATE = "1970:01:01 00:00:00"
 """Date in an EXR, which otherwise has the time of writing: equal pictures are equal files."""
 NO_DETAIL = "no further detail"
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
-PNG_OPTIONS: dict[str, str | int] = {"compression": "huffman", "png:compressionLevel": 1, "png:filter": 64}
-"""Compression of PNG, by Huffman's code alone, and its filter, the mean of the pixels before and above: faster than a
-search for repeated bytes, of which photos have few. Flat pictures take more space by it."""
+PNG_OPTIONS: dict[str, str | int] = {"compression": "rle", "png:compressionLevel": 1, "png:filter": 64}
+"""Compression of PNG, by runs of equal bytes alone, and its filter, the mean of the pixels before and above: much
+faster than the usual 6 with the best filter of each row, for files that are somewhat larger."""
 
 
 def read_image(path: Path, where: str | None = None) -> Float[np.ndarray, "h w c"]:

@@ -37,7 +37,7 @@ SOURCES = ("core", "light", "util", "pipeline.py")
 """Sources of kept programs: the pure layers."""
 CASCADES = ("pipeline.refine_illuminance", "pipeline.refine_visibility")
 """Functions that are mostly cascades."""
-LONG = ("light.photo_light.bounced_again",)
+LONG = ("light.photo_light.interreflection",)
 """Functions that are optimised at once: without it, they run longer than that takes."""
 MOST_BYTES = 300_000_000
 """Most bytes of kept programs, some four million a size of picture; those that were used longest ago go first."""

@@ -154,8 +154,9 @@ def test_whole_frame(scene: Scene, device: Any, lights: str, keep: bool) -> None
 
 
 @pytest.mark.slow
-def test_a_lamps_rim_goes_out_with_it(tmp_path: Path, device: Any) -> None:
-    """Its pixels are mixed with what lies behind it, and less bright."""
+@pytest.mark.parametrize("is_on", [False, True])
+def test_a_lamps_rim_goes_out_with_it(is_on: bool, tmp_path: Path, device: Any) -> None:
+    """Its pixels are mixed with what lies behind it, and less bright; they shine no more than in the photo."""
     from hyjax.data.builtin_room import load_room
 
     room = load_room(n_frames=4, width=160, height=120, quality=0.25, progress=False)
@@ -163,14 +164,16 @@ def test_a_lamps_rim_goes_out_with_it(tmp_path: Path, device: Any) -> None:
     lamp, radius = np.asarray(room.anchors["lamp_0"]["position"], float), 0.25
     file.write_text(f"lamps: [{{position: {lamp.tolist()}, radius: {radius}}}]")
     scene = Scene.open(SceneSettings(size=SIZE_TEXT, photo_sources=file), capture=room)
-    setup = LightSetup((AmbientLight(np.asarray(150.0, np.float32), np.ones(3, np.float32)),), 300.0)
+    white = np.ones(3, np.float32)
+    bulb = PointLight(lamp.astype(np.float32), np.float32(30.0), white, 0.05)
+    setup = LightSetup((AmbientLight(np.asarray(150.0, np.float32), white), *[bulb][: int(is_on)]), 300.0)
     frame = scene.frame(0)
     (x, y), depth = frame.camera.project(lamp)
     assert depth > 0.5 and 8 < x < SIZE[1] - 8 and 8 < y < SIZE[0] - 8
     columns, rows = np.meshgrid(np.arange(SIZE[1]) + 0.5, np.arange(SIZE[0]) + 0.5)
     away = np.maximum(np.abs(columns - x), np.abs(rows - y))
     photo = np.array(frame.image)
-    photo[away < 4], photo[away < 3] = 0.8, 1.0
+    photo[away < 4], photo[away < 3] = 0.93 if is_on else 0.8, 1.0
     view = dataclasses.replace(scene.view(0), frame=hyjax.to_linear(jnp.asarray(photo)))
     expected = np.asarray(
         hyjax.relight(view, scene.shade(view, setup), view.display, Schedule.preset("hyjax")).image
@@ -178,7 +181,15 @@ def test_a_lamps_rim_goes_out_with_it(tmp_path: Path, device: Any) -> None:
     found = renderer_of(scene, setup, device, keep=False).relight(photo, frame.camera)
     rim = (away < 4) & (away >= 3)
     assert np.abs(found - expected)[rim].max() < 0.02
-    assert expected[rim].max() < 0.8 * np.asarray(view.frame)[rim].min(), "it is off"
+    if is_on:
+        assert (
+            0.1 * expected[away < 3].min()
+            < expected[rim].min()
+            <= expected[rim].max()
+            < 0.9 * expected[away < 3].max()
+        )
+    else:
+        assert expected[rim].max() < 0.8 * np.asarray(view.frame)[rim].min()
 
 
 @pytest.mark.slow

@@ -185,6 +185,8 @@ def test_a_lamp_that_shines_has_the_photos_soft_rim() -> None:
         for sent in (0.0, 0.5, 1.0, 2.0)
     ]
     assert weights == pytest.approx([0.5, 0.375, 0.25, 0.0], abs=1e-5), "from off to on without a step"
+    stays_on = dataclasses.replace(lamp, kept=jnp.ones((1, 3)))
+    assert float(found(stays_on, photo, wall(2.0)).weight[9, 16, 0]) == pytest.approx(0.5, abs=1e-5)
 
 
 @pytest.mark.parametrize(("bright", "is_lamp"), [(0.77, False), (1.0, True)])

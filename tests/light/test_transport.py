@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import CELLS, enclose, trace, wall_axes
-from hyjax.light.kinds import Aperture, PointLight
+from hyjax.light.kinds import AmbientLight, Aperture, PointLight
 from hyjax.light.photo_light import PhotoLight, bounced_light, interpolate
 from hyjax.light.transport import Transport, bounce, gather, send
 
@@ -185,6 +185,15 @@ def test_bounced_light_is_linear_in_the_lamp(closed: Transport) -> None:
     # All of the lamp's light is met by walls of albedo 1/2: E / 2 + E / 4 + … over an area S is Φ / S.
     area = 2 * (4 * 3 + 4 * 2.5 + 3 * 2.5)
     assert float(jnp.mean(once)) == pytest.approx(500 / area, rel=0.2)
+
+
+@pytest.mark.parametrize("lights", [[], [AmbientLight(jnp.float32(80.0), jnp.ones(3))]])
+def test_where_nothing_bounces_bounces_are_none(lights: list[AmbientLight], closed: Transport) -> None:
+    even = jnp.ones((closed.vertices, 3))
+    albedo = jnp.full((closed.position.shape[0], 3), 0.5)
+    photo = PhotoLight(even, even[None], jnp.ones(3), albedo, closed)
+    found = jax.jit(lambda photo: bounced_light(photo, lights))(photo)
+    assert found.shape == even.shape and float(jnp.abs(found).max()) == 0.0
 
 
 def test_bounced_light_of_lamps_adds_up_though_outliers_are_held_back(closed: Transport) -> None:

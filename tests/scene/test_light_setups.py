@@ -182,7 +182,7 @@ def test_made_up_window_faces_what_is_looked_at(box: RayCaster) -> None:
 def test_what_stands_out_of_its_wall_does_not_cut_the_light_of_a_made_up_window(box: RayCaster) -> None:
     """As mullions of a glass wall do: its light would end up in single spots."""
     posts = [
-        trimesh.creation.box(bounds=[[x - 0.04, y - 0.04, 0.0], [x + 0.04, y + 0.04, 2.5]])
+        trimesh.creation.box(bounds=[[x - 0.025, y - 0.08, 0.0], [x + 0.025, y + 0.08, 2.5]])
         for x, y in [(x, y) for x in np.arange(-2.0, 2.1, 0.5) for y in (-3.0, 3.0)]
         + [(x, y) for y in np.arange(-3.0, 3.1, 0.5) for x in (-2.0, 2.0)]
     ]
