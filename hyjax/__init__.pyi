@@ -56,6 +56,7 @@ from .scene.settings import SceneSettings as SceneSettings
 from .tuning.settings import TuneSettings as TuneSettings
 from .tuning.tune import tune as tune
 from .tuning.tune import tune_schedule as tune_schedule
+from .util.compiled_cache import keep_compiled as keep_compiled
 from .util.errors import InputError as InputError
 from .util.images import write_png as write_png
 

@@ -34,6 +34,8 @@ SOURCE_RADIUS = 0.1
 """Distance from a source, in metres, within which a new light makes it shine."""
 LAMP_DARK, LAMP_BRIGHT = 0.75, 0.95
 """Linear values of the photo between which a pixel of a lamp begins to shine."""
+CORE_EXPONENT = 4
+"""Power of the share by which a pixel of a lamp shines, for what is brighter than white."""
 RIM_WIDTH = 640
 """Width of a picture, in pixels, for each pixel of a lamp's rim."""
 BORDER_WIDTH = 0.05
@@ -92,7 +94,7 @@ class SourcePixels:
     Attributes:
         weight: how far a pixel belongs to a source, in [0, 1].
         source: which one, panes first; -1 for none.
-        pattern: of its light, relative to its mean; of a lamp, the share of its light that a pixel has.
+        pattern: of its light, relative to its mean; of a lamp, how far the photo's pixel is burnt out.
         framed: how far a pixel belongs to the frame or the bars of a window.
     """
 
@@ -201,8 +203,8 @@ def shine(emitters: Emitters, pixels: SourcePixels, frame: Float[Array, "h w 3"]
     light = jnp.concatenate([_view_light(light[:count], emitters.pane_means), light[count:]])
     for k, share in enumerate(shares):  # a few; gathering from a table takes longer
         here = pixels.source[..., None] == k
-        radiance = light[k] * pixels.pattern + emitters.kept[k] * frame
-        sent = jnp.where(here, radiance, sent)
+        own = light[k] * pixels.pattern if k < count else _bulb_light(light[k], pixels.pattern)
+        sent = jnp.where(here, own + emitters.kept[k] * frame, sent)
         # The kept part of the photo holds its reflections, too.
         reflected = share * emitters.mean * jnp.maximum(1.0 - emitters.kept[k], 0.0)
         reflectance = jnp.where(here, reflected, reflectance)
@@ -259,6 +261,12 @@ def source_pixels(
         source = jnp.where(largest, k, source)
         pattern = jnp.where(largest[..., None], shown, pattern)
     return SourcePixels(weight[..., None], source, pattern, jnp.max(framed, axis=0, initial=0.0)[..., None])
+
+
+def _bulb_light(light: Float[Array, "3"], burnt: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
+    """Light of a lamp's pixels: beyond white at its core alone, or its rim would burn out, too."""
+    white = jnp.minimum(light, 1.0)
+    return white + (light - white) * burnt**CORE_EXPONENT
 
 
 def _view_light(light: Float[Array, "n 3"], means: Float[Array, "n 3"]) -> Float[Array, "n 3"]:

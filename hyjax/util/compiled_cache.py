@@ -26,7 +26,16 @@ _log = logging.getLogger(__name__)
 
 
 def keep_compiled() -> None:
-    """Keep XLA's compiled programs in the cache folder from now on; one that cannot be written costs time only."""
+    """Keep compiled programs in the cache folder from now on, as the commands do, for the next process or notebook.
+
+    To be called before anything is compiled. It sets JAX's own cache of compiled programs to that folder, too. A
+    folder that cannot be written is a warning, and costs time only.
+
+    Example:
+        >>> import hyjax
+        >>> hyjax.keep_compiled()  # doctest: +SKIP
+        >>> scene = hyjax.Scene.open(hyjax.SceneSettings())  # doctest: +SKIP
+    """
     folder = cache_folder() / "compiled"
     try:
         make_writable(folder)

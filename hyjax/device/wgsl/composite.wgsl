@@ -139,7 +139,8 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, own_depth: f32, shining: vec3
             let off = clamp(1.0 - max(kept.x, max(kept.y, kept.z)), 0.0, 1.0);
             let lit = off * clamp(max(light.x, max(light.y, light.z)), 0.0, 1.0);
             shown = mix(1.0, burnt, lit); // if it goes on, the photo's soft rim
-            sent = light * burnt + kept * photo
+            let white = min(light, vec3<f32>(1.0));
+            sent = white + (light - white) * burnt * burnt * burnt * burnt + kept * photo
                 + LAMP_REFLECTANCE * frame.mean.xyz * max(1.0 - kept, vec3<f32>(0.0)) * shining;
         }
     }
