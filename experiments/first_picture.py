@@ -4,8 +4,8 @@
 
 Takes about two minutes on two idle cores. Every command is a process of its own, timed from start to end, in turns.
 A cold start has an empty cache folder, in which the room is made, its light estimated and everything compiled,
-and is timed until its first picture, too. The second start finds that folder. Programs' files are in the system's
-cache.
+and is timed until its first picture, too. The second start finds that folder, and so does one under other lights,
+once for each of these folders. Programs' files are in the system's cache.
 
 Python must be free to keep its bytecode, as it does of what is installed: with PYTHONDONTWRITEBYTECODE set, a start
 takes half a second more.
@@ -34,11 +34,13 @@ from hyjax.util.clock import Stopwatch
 from hyjax.util.errors import InputError
 
 IMPORTS = "import jax", "import hyjax.relighting.run"
-COLD, FIRST, SECOND = (
+COLD, FIRST, SECOND, OTHER = (
     "relight, cold, all frames",
     "relight, cold, until the first picture",
     "relight, second start, one frame",
+    "relight, second start, one frame, other lights",
 )
+OTHER_LIGHTS = "golden-hour"
 POLL_SECONDS = 0.05
 
 
@@ -68,6 +70,10 @@ def main(config: Config, start: Start) -> None:
             for row in timed(COLD, relight, cache / str(number), out):
                 results.add(**row)
         results.add(**stages(COLD, out))
+        for number in range(config.cold):
+            other = [*relight, "--frames", "0", "--lights", OTHER_LIGHTS]
+            for row in timed(OTHER, other, cache / str(number)):
+                results.add(**row)
         for _ in range(config.repeats):
             for name, arguments in (calls | {SECOND: [*relight, "--frames", "0"]}).items():
                 for row in timed(name, arguments, cache / "0"):

@@ -283,9 +283,9 @@ def _made_up_window(caster: RayCaster, seen: SeenSurface, stop: Stop, up: Vector
 
 def _before_relief(caster: RayCaster, window: WindowPlace, up: Vector) -> WindowPlace:
     """Window before all of its uneven wall, which would cut its light to patches."""
-    opening, (across, along) = window.opening(up), np.meshgrid(*2 * [np.linspace(-1.0, 1.0, RELIEF_RAYS)])
-    spread = across[..., None] * np.asarray(opening.right) + along[..., None] * np.asarray(opening.up)
-    middle, ways = window.center + LARGEST_RELIEF * window.inward, spread.reshape(-1, 3)
+    opening, ticks = window.opening(up), np.linspace(-1.0, 1.0, RELIEF_RAYS)
+    shares = np.stack(np.meshgrid(ticks, ticks), -1).reshape(-1, 2)
+    middle, ways = window.center + LARGEST_RELIEF * window.inward, shares @ np.stack([opening.right, opening.up])
     starts = middle + ways[~caster.occluded(middle, ways, 1.0)]  # not in the next room
     distance = caster.cast(starts, np.broadcast_to(-window.inward, starts.shape)).distance
     relief = max(0.0, LARGEST_RELIEF - float(distance.min(initial=np.inf)))

@@ -184,7 +184,7 @@ def test_a_lamps_rim_goes_out_with_it(is_on: bool, tmp_path: Path, device: Any) 
     if is_on:
         assert expected[rim].mean() < 0.9 * expected[away < 3].mean()
     else:
-        assert expected[rim].max() < 0.8 * np.asarray(view.frame)[rim].min()
+        assert expected[rim].max() < 0.8 * np.asarray(view.frame)[rim].min(), "it is off"
 
 
 @pytest.mark.slow

@@ -19,6 +19,9 @@ const PANE_WHITE = 0.75;
 const PANE_UNLIT = 0.05;
 const PANE_LIT = 0.1;
 const SLACK = 0.12;
+const LAMP_DARK = 0.75;
+const LAMP_BRIGHT = 0.95;
+const CORE_EXPONENT = 4.0;
 const RIM_WIDTH = 640u;
 
 @compute @workgroup_size(8, 8)
@@ -130,17 +133,17 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, own_depth: f32, shining: vec3
         let away = sqrt(max(dot(toward, toward) - along * along * dot(ray, ray), 1e-12));
         var cover = clamp((1.5 * radius - away) / (width * max(along, 1e-3)) + 0.5, 0.0, 1.0);
         if (along <= 0.0 || depth <= along - 2.0 * radius - SLACK) { cover = 0.0; }
-        if (cover > 0.0) { cover *= smoothstep(0.75, 0.95, brightest_near(pixel)); }
+        if (cover > 0.0) { cover *= smoothstep(LAMP_DARK, LAMP_BRIGHT, brightest_near(pixel)); }
         if (cover > 0.0 && cover >= weight) {
             weight = cover;
             let kept = emitters[first + 2u].xyz;
             let light = emitters[first + 1u].xyz * frame.mean.xyz;
-            let burnt = smoothstep(0.75, 0.95, darkest);
+            let burnt = smoothstep(LAMP_DARK, LAMP_BRIGHT, darkest);
             let off = clamp(1.0 - max(kept.x, max(kept.y, kept.z)), 0.0, 1.0);
             let lit = off * clamp(max(light.x, max(light.y, light.z)), 0.0, 1.0);
             shown = mix(1.0, burnt, lit); // if it goes on, the photo's soft rim
             let white = min(light, vec3<f32>(1.0));
-            sent = white + (light - white) * burnt * burnt * burnt * burnt + kept * photo
+            sent = white + (light - white) * pow(burnt, CORE_EXPONENT) + kept * photo
                 + LAMP_REFLECTANCE * frame.mean.xyz * max(1.0 - kept, vec3<f32>(0.0)) * shining;
         }
     }
