@@ -35,6 +35,7 @@ from experiments.records import Row, of_kind, size_of
 from hyjax.core.schedule import Schedule
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.light.color import encoded
 from hyjax.pipeline import Mode
 
 LIGHTS = "two-colors"
@@ -107,7 +108,7 @@ class Lit:
         shadowed = self.each * hyjax.visibilities(gbuffer, setup.lights, maps)
         filters = self.each, shadowed
         if mode == "paper":
-            filters = tuple(hyjax.to_display(x / setup.reference_lux) for x in filters)  # type: ignore[assignment]
+            filters = tuple(encoded(x / setup.reference_lux) for x in filters)  # type: ignore[assignment]
         self.unshadowed, self.shadowed = filters
         self.visible = ratio(self.shadowed, self.unshadowed)
 
@@ -180,7 +181,7 @@ def together(view: View, bench: Bench, mode: Mode, maps: Any, accurate: bool) ->
     schedule = bench.own_kappa(bench.schedules[mode], mode)
     lit = Lit(view, bench, "linear", maps, accurate=accurate)
     if mode == "paper":
-        raw = hyjax.to_display(hyjax.colored(lit.shadowed, setup.lights) / setup.reference_lux)
+        raw = encoded(hyjax.colored(lit.shadowed, setup.lights) / setup.reference_lux)
         return hyjax.to_linear(hyjax.cascade(raw, view.guide, schedule) * view.display)
     each = hyjax.cascade_known(lit.shadowed, lit.hit, view.guide, schedule)
     return hyjax.colored(each, setup.lights) / setup.reference_lux * linear

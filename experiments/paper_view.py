@@ -11,6 +11,7 @@ import hyjax
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
 from hyjax.geometry.camera import Camera
+from hyjax.light.color import decoded, encoded
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.relit import Relit
 from hyjax.pipeline import Mode
@@ -18,21 +19,21 @@ from hyjax.pipeline import Mode
 
 def linear_filter(relit: Relit, mode: Mode) -> Float[Array, "h w 3"]:
     """The refined filter, without shadows, as a factor of light."""
-    return hyjax.to_linear(relit.refined) if mode == "paper" else relit.refined
+    return decoded(relit.refined) if mode == "paper" else relit.refined
 
 
 def mean_colour(view: "View", relight_filter: Float[Array, "h w 3"], group: str) -> Float[Array, "h w 3"]:
     """One colour for the whole frame: the filter's mean, as the group has it, where the mesh has a surface."""
     known, display = view.rough.hit[..., None], group == "display values"
-    averaged = hyjax.to_display(relight_filter) if display else relight_filter
+    averaged = encoded(relight_filter) if display else relight_filter
     mean = jnp.sum(averaged * known, axis=(0, 1)) / jnp.maximum(jnp.sum(known), 1)
-    return jnp.broadcast_to(hyjax.to_linear(mean) if display else mean, relight_filter.shape)
+    return jnp.broadcast_to(decoded(mean) if display else mean, relight_filter.shape)
 
 
 def multiplied(view: "View", relight_filter: Float[Array, "h w 3"], group: str) -> Float[Array, "h w 3"]:
     """The frame times a linear filter, display values."""
     if group == "display values":
-        return view.display * hyjax.to_display(relight_filter)
+        return view.display * encoded(relight_filter)
     return hyjax.to_display(hyjax.to_linear(view.display) * relight_filter)
 
 

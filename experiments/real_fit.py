@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage, optimize
 
+from hyjax.light.color import SHOULDER, WIDTH, held
 from hyjax.photo_light.radiance import linear
 from hyjax.synthetic.tone_curve import encode_unclipped
 
@@ -25,9 +26,18 @@ Columns = Float[np.ndarray, "h w k 3"]
 Picture = Float[np.ndarray, "h w 3"]
 
 
+def shown(light: np.ndarray) -> np.ndarray:
+    """Display values of light, going on beyond white; `hyjax.light.color.display_curve` in NumPy."""
+    return encode_unclipped(held(light))
+
+
 def slope(light: np.ndarray) -> np.ndarray:
-    """Derivative of `encode_unclipped`."""
-    return np.where(light <= 0.0031308, 12.92, 1.055 / 2.4 * np.maximum(light, 0.0031308) ** (1 / 2.4 - 1))
+    """Derivative of `shown`."""
+    t = np.maximum(light - SHOULDER, 0.0) / (1.0 - SHOULDER)
+    of_shoulder = ((1.0 + 2.0 * t / WIDTH**2) * (1.0 + t) - t * (1.0 + t / WIDTH**2)) / (1.0 + t) ** 2
+    own = held(light)
+    power = 1.055 / 2.4 * np.maximum(own, 0.0031308) ** (1 / 2.4 - 1)
+    return np.where(own <= 0.0031308, 12.92, power * of_shoulder)
 
 
 def checkerboard(shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
@@ -100,7 +110,7 @@ def _refined(matrix: np.ndarray, wanted: np.ndarray, start: np.ndarray, encoded:
 
     def loss(theta: np.ndarray) -> tuple[float, np.ndarray]:
         light = own @ theta
-        off = (light if encoded else encode_unclipped(light)) - wanted
+        off = (light if encoded else shown(light)) - wanted
         off = np.where((off > 0) & (wanted >= 1), 0.0, off)
         pull = off if encoded else off * slope(light)
         return float((off**2).mean()), 2 * own.T @ pull / len(wanted)
@@ -173,7 +183,7 @@ def smooth_picture(photo: Picture, order: int, target: Target, count: int | None
 
         def loss(c: np.ndarray, own: np.ndarray = own, before: np.ndarray = before, wanted: np.ndarray = wanted):  # type: ignore[no-untyped-def]
             made = before * np.exp(np.clip(own @ c, -8, 8))
-            off = encode_unclipped(made) - wanted
+            off = shown(made) - wanted
             return float((off**2).mean()), 2 * own.T @ (off * slope(made) * made) / len(wanted)
 
         found = optimize.minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS})
@@ -233,7 +243,7 @@ def fit_both(
 
         def loss(x: np.ndarray, own: np.ndarray = own, before: np.ndarray = before, wanted: np.ndarray = wanted):  # type: ignore[no-untyped-def]
             image, under = relit(x, own, before)
-            off = encode_unclipped(image) - wanted
+            off = shown(image) - wanted
             pull = 2 * off * slope(image) * before / under / len(wanted)
             change = np.concatenate([own.T @ pull, -own.T @ (pull * image / np.maximum(before, SMALLEST_DIVISOR))])
             return 1e3 * float((off**2).mean()), 1e3 * change

@@ -15,10 +15,10 @@ from experiments.real_fit import (
     chosen_lights,
     fit_both,
     fit_strengths,
+    shown,
     smooth_picture,
 )
 from hyjax.photo_light.radiance import linear
-from hyjax.synthetic.tone_curve import encode
 
 PHOTO, GAINS, SMOOTH, SMOOTHER = "untouched photo", "three gains", "exp(polynomial 4)", "exp(polynomial 7)"
 SMOOTH_BEST = "exp(polynomial 7), best 15 terms"
@@ -93,7 +93,7 @@ def default_picture(place: RealPlace) -> Made:
 
 
 def _shown(light: Picture, unknowns: int) -> Made:
-    return Made(encode(light), unknowns)
+    return Made(np.minimum(shown(light), 1.0), unknowns)
 
 
 def _chosen(columns: Columns, place: RealPlace, target: Target, more: int | None = None) -> list[int]:

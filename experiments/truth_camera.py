@@ -29,7 +29,7 @@ class Exposed:
     """
 
     linear: Image
-    response: Response = encode
+    response: Response = exposure.displayed
 
     def display(self, gains: Float[np.ndarray, "3"] | float = 1.0) -> Image:
         """Display values with another exposure."""

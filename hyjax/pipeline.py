@@ -24,7 +24,7 @@ from hyjax.core.cascade import cascade
 from hyjax.core.pyramid import level_shape
 from hyjax.core.refine import cascade_known, fill_visibility, shadow_pass
 from hyjax.core.schedule import Schedule
-from hyjax.light.color import to_display
+from hyjax.light.color import encoded
 from hyjax.light.light_edges import Weights, edge_correction, own_light, sharpened
 from hyjax.light.relit import Relit, compared, composite_display, filter_and_light, ratio, relit_picture
 from hyjax.light.shaded import Shaded
@@ -265,4 +265,4 @@ def _paper_stages(
 def _rendered(
     illuminance: Float[Array, "h w l"], colors: Float[Array, "l 3"], reference_lux: Float[ArrayLike, ""]
 ) -> Float[Array, "h w 3"]:
-    return to_display(mix_channels(illuminance, colors) / reference_lux)
+    return encoded(mix_channels(illuminance, colors) / reference_lux)

@@ -3,10 +3,11 @@
 import dataclasses
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from hyjax.geometry.camera import Camera
-from hyjax.light.color import to_display
+from hyjax.light.color import encoded
 from hyjax.light.kinds import Light, kind_name
 from hyjax.light.setup import LightSetup
 from hyjax.util.errors import InputError, shown
@@ -21,7 +22,7 @@ def lamp_rows(setup: LightSetup | None, camera: Camera | None) -> list[dict[str,
             k = camera.intrinsics
             xy, depth = camera.project(np.asarray(getattr(light, key), np.float64))
             place = [float(xy[0]) / k.width, float(xy[1]) / k.height] if depth > 0 else None
-        color = np.asarray(to_display(np.asarray(light.color) / max(float(np.max(light.color)), 1e-6)))
+        color = np.asarray(encoded(jnp.asarray(light.color) / max(float(np.max(light.color)), 1e-6)))
         row = {"kind": kind_name(light), "strength": float(np.asarray(getattr(light, light.STRENGTH)))}
         row |= {"unit": "lx" if light.STRENGTH == "illuminance" else "lm", "place": place}
         found.append(row | {"color": [round(255 * float(c)) for c in color]})

@@ -1,11 +1,21 @@
-"""Colour: the sRGB curve between light and display, luminance, colour temperature.
+"""Colour: the curves between light and display, luminance, colour temperature.
 
 An image called `linear` holds amounts of light, one called `display` holds what a file or a screen stores
-(IEC 61966-2-1 sRGB, primaries of Rec. 709). Light adds and multiplies only in `linear`.
+(primaries of Rec. 709). Light adds and multiplies only in `linear`.
+
+Between them lie the curve of sRGB (IEC 61966-2-1) and a shoulder, since cameras hold bright light back. By sRGB's
+curve alone, what a photo shows as white was hardly brighter than what it shows as nearly white: under weaker light
+white paper turns grey, and under stronger light orange turns lemon yellow. The shoulder is that of Reinhard et
+al., *Photographic tone reproduction for digital images* (SIGGRAPH 2002), equation 4, from `SHOULDER` on, where its
+slope is 1. Few cameras say what theirs is; this one stands for all. Its two numbers were chosen on the rooms that
+`experiments.truth` chooses on.
 """
+
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, UInt8
 
 from hyjax.util.arguments import checked_arguments
@@ -14,6 +24,12 @@ from hyjax.util.tracing import concrete
 
 # Luminance of linear Rec. 709 red, green and blue.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
+SHOULDER, WHITE = 0.7, 1.5
+"""Light that is held back from, and light that is shown as white."""
+WIDTH = (WHITE - SHOULDER) / (1.0 - SHOULDER)
+"""Width of the shoulder, in units of what is left above it on the display."""
+AnyArray = TypeVar("AnyArray", jax.Array, np.ndarray)
+"""Array of JAX or NumPy."""
 BLACKBODY_KELVIN = (1667.0, 25000.0)
 """Temperatures between which the approximation of a black body's colour holds."""
 
@@ -21,25 +37,50 @@ BLACKBODY_KELVIN = (1667.0, 25000.0)
 @checked_arguments(display=["display"])
 @jax.jit
 def to_linear(display: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """Display-encoded values in [0, 1] → linear light in [0, 1]. Bytes are divided by 255."""
-    # Both branches are evaluated and differentiated: the power sees only values from its own side.
-    power = _power((jnp.maximum(display, 0.04045) + 0.055) / 1.055, 2.4)
-    return jnp.where(display <= 0.04045, display / 12.92, power)
+    """Display-encoded values in [0, 1] → linear light in [0, `WHITE`]. Bytes are divided by 255."""
+    return released(decoded(display))
 
 
 @checked_arguments
 @jax.jit
 def to_display(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """Linear light → display-encoded values in [0, 1]; anything brighter than 1 is clipped to white."""
-    power = display_curve(jnp.clip(linear, 0.0031308, 1.0))
+    """Linear light → display-encoded values in [0, 1]; anything brighter than `WHITE` is clipped to it."""
+    return encoded(held(linear))
+
+
+def held(linear: AnyArray) -> AnyArray:
+    """Light as the shoulder holds it back: `WHITE` becomes 1. NumPy's arrays stay NumPy's."""
+    xp = linear.__array_namespace__()
+    t = (xp.maximum(linear, SHOULDER) - SHOULDER) / (1.0 - SHOULDER)
+    return xp.where(linear <= SHOULDER, linear, SHOULDER + (1.0 - SHOULDER) * t * (1.0 + t / WIDTH**2) / (1.0 + t))
+
+
+def released(held_light: AnyArray) -> AnyArray:
+    """Light that the shoulder has held back: the inverse of `held`, without cancellation near its start."""
+    xp = held_light.__array_namespace__()
+    y = (xp.maximum(held_light, SHOULDER) - SHOULDER) / (1.0 - SHOULDER)
+    t = 2.0 * y / (1.0 - y + xp.sqrt((1.0 - y) ** 2 + 4.0 / WIDTH**2 * y))
+    return xp.where(held_light <= SHOULDER, held_light, SHOULDER + (1.0 - SHOULDER) * t)
+
+
+def encoded(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
+    """sRGB's encoding alone, of values that are clipped to [0, 1]."""
+    power = encoding_curve(jnp.clip(linear, 0.0031308, 1.0))
     # `where` and not `maximum`, whose gradient at a tie is half: black pixels keep the slope of the light they get.
     return jnp.where(linear < 0.0, 0.0, jnp.where(linear <= 0.0031308, linear * 12.92, power))
 
 
-def display_curve(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """The curved part of the sRGB encoding, above 0.0031308, and its continuation above 1.
+def decoded(display: Float[Array, "*s"]) -> Float[Array, "*s"]:
+    """Values of sRGB's encoding, decoded."""
+    # Both branches are evaluated and differentiated: the power sees only values from its own side.
+    power = _power((jnp.maximum(display, 0.04045) + 0.055) / 1.055, 2.4)
+    return jnp.where(display <= 0.04045, display / 12.92, power)
 
-    >>> [round(float(x), 4) for x in display_curve(jnp.array([0.18, 1.0, 2.0]))]
+
+def encoding_curve(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
+    """The curved part of sRGB's encoding, above 0.0031308, and its continuation above 1.
+
+    >>> [round(float(x), 4) for x in encoding_curve(jnp.array([0.18, 1.0, 2.0]))]
     [0.4614, 1.0, 1.3533]
     """
     return 1.055 * _power(linear, 1.0 / 2.4) - 0.055

@@ -15,6 +15,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from hyjax.core.finite import finite_or_zero
 from hyjax.core.upsampling import guided_upsample
+from hyjax.light.color import WHITE
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import Light
 from hyjax.light.panes import PANE_SLACK, Bars, lit_degree, pane_shares, pixel_rays, ramp
@@ -32,7 +33,7 @@ PANE_WHITE = 0.75
 a view would burn out with all that is in it."""
 SOURCE_RADIUS = 0.1
 """Distance from a source, in metres, within which a new light makes it shine."""
-LAMP_DARK, LAMP_BRIGHT = 0.75, 0.95
+LAMP_DARK, LAMP_BRIGHT = 0.75, 1.27
 """Linear values of the photo between which a pixel of a lamp begins to shine."""
 CORE_EXPONENT = 4
 """Power of the share by which a pixel of a lamp shines, for what is brighter than white."""
@@ -265,7 +266,7 @@ def source_pixels(
 
 def _bulb_light(light: Float[Array, "3"], burnt: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
     """Light of a lamp's pixels: beyond white at its core alone, or its rim would burn out, too."""
-    white = jnp.minimum(light, 1.0)
+    white = jnp.minimum(light, WHITE)
     return white + (light - white) * burnt**CORE_EXPONENT
 
 

@@ -2,8 +2,11 @@
 
 from collections.abc import Callable
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
+
+from hyjax.light.color import to_display
 
 Response = Callable[[np.ndarray], np.ndarray]
 LARGEST_GAIN = 12.0
@@ -14,10 +17,15 @@ GRIDS = ((25, 1.0), (13, 1 / 12), (13, 1 / 72))
 """Search grids: number of gains and their share of the logarithmic range, each around the last optimum."""
 
 
+def displayed(linear: np.ndarray) -> np.ndarray:
+    """Display values of light, see `hyjax.light.color.to_display`."""
+    return np.asarray(to_display(jnp.asarray(linear)))
+
+
 def fit_gains(
     linear: Float[np.ndarray, "h w 3"],
     reference: Float[np.ndarray, "h w 3"],
-    response: Response,
+    response: Response = displayed,
     *,
     valid: Bool[np.ndarray, "h w"] | None = None,
 ) -> Float[np.ndarray, "3"]:

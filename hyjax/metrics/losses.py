@@ -27,7 +27,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from hyjax.core.pyramid import downsample
 from hyjax.core.stencil import Edges, divergence, gradient
-from hyjax.light.color import display_curve
+from hyjax.light.color import encoding_curve, held
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.tracing import concrete
@@ -99,12 +99,12 @@ def charbonnier(x: Float[Array, "*s"], *, epsilon: Float[ArrayLike, ""] = EPSILO
 def display_unclipped(relight_filter: Float[Array, "*s"], frame: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Filter times frame, encoded for display without clipping.
 
-    The sRGB curve is continued above white, and its straight piece below black, so that light which is too bright
-    still has a slope that leads back. In [0, 1] this is `to_display`.
+    The curve is continued above white, and its straight piece below black, so that light which is too bright still
+    has a slope that leads back. Up to white this is `to_display`.
 
     >>> white = jnp.ones((1, 1, 3))
-    >>> [round(float(display_unclipped(x * white, white)[0, 0, 0]), 2) for x in (0.0, 1.0, 2.0)]
-    [0.0, 1.0, 1.35]
+    >>> [round(float(display_unclipped(x * white, white)[0, 0, 0]), 2) for x in (0.0, 1.0, 1.5, 3.0)]
+    [0.0, 0.93, 1.0, 1.09]
 
     Args:
         relight_filter: linear, ≥ 0.
@@ -113,8 +113,8 @@ def display_unclipped(relight_filter: Float[Array, "*s"], frame: Float[Array, "*
     Returns:
         Display values, above 1 where the product is.
     """
-    linear = relight_filter * frame
-    return jnp.where(linear <= 0.0031308, linear * 12.92, display_curve(jnp.maximum(linear, 0.0031308)))
+    linear = held(relight_filter * frame)
+    return jnp.where(linear <= 0.0031308, linear * 12.92, encoding_curve(jnp.maximum(linear, 0.0031308)))
 
 
 @checked_arguments

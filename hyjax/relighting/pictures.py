@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hyjax.data.capture import Frame
-from hyjax.light.color import to_display, to_linear
+from hyjax.light.color import decoded, to_display
 from hyjax.light.relit import Relit
 from hyjax.pipeline import Mode
 from hyjax.relighting.settings import RelightSettings
@@ -51,7 +51,7 @@ def write_frame(
             write_png(out / f"{name}.{kind}.png", shown[kind])
             if exr:
                 encoded_filter = mode == "paper" and kind in ("filter", "refined")
-                linear = np.asarray(run_kept(to_linear, picture) if encoded_filter else picture)
+                linear = np.asarray(run_kept(decoded, picture) if encoded_filter else picture)
                 write_exr(out / f"{name}.{kind}.exr", linear)
     return shown
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from hyjax.light.color import WHITE
 from hyjax.light.kinds import Light
 from hyjax.light.setup import LightSetup
 from hyjax.scene.light_response import Response, kinds_of, paleness
@@ -125,7 +126,7 @@ def _least_unburnt(light: Float[np.ndarray, "n"], seen: SeenSurface, response: R
         return 0.0
     photo = seen.of_cameras(response.photo_value, 1.0 - MOST_BURNT)
     relit = seen.of_cameras(response.photo_value * light / response.photo_light, 1.0 - MOST_BURNT)
-    return float((relit / np.maximum(photo, 1.0)).max())
+    return float((relit / np.maximum(photo, WHITE)).max())
 
 
 def _least_ambient(

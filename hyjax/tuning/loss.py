@@ -12,7 +12,6 @@ from hyjax.light.color import to_display
 from hyjax.metrics import LpipsWeights, Metric, load_lpips, lpips, plain_metrics, psnr
 from hyjax.metrics.exposure import fit_gains
 from hyjax.metrics.losses import LossWeights, display_loss
-from hyjax.synthetic.tone_curve import encode
 from hyjax.tuning.scene import Target
 
 BRIGHTNESS_WEIGHT = 0.5
@@ -47,7 +46,7 @@ class PictureLoss:
         """Gains that the picture is multiplied with; ones where nothing may be fitted."""
         if not target.fitted:
             return np.ones(3, np.float32)
-        return fit_gains(image, target.picture, encode, valid=target.valid).astype(np.float32)
+        return fit_gains(image, target.picture, valid=target.valid).astype(np.float32)
 
     def scores(self, image: Float[np.ndarray, "h w 3"], target: Target) -> dict[str, float]:
         """Loss and all metrics of the registry by name; `psnr_raw` is that of the picture as it is."""

@@ -19,7 +19,7 @@ export class Display {
       vertex: { module, entryPoint: "vertex" },
       fragment: {
         module, entryPoint: "fragment", targets: [{ format: display.format }],
-        constants: { most_light: display.format === "rgba16float" ? MOST_LIGHT : 1 },
+        constants: display.format === "rgba16float" ? { most_light: MOST_LIGHT } : {},
       },
     });
     return display;

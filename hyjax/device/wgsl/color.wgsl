@@ -1,10 +1,31 @@
-// The sRGB curve: `hyjax.light.color`.
+// The curve of sRGB and the shoulder of bright light: `hyjax.light.color`.
+const SHOULDER = 0.7;
+const WHITE = 1.5;
+const WIDTH = (WHITE - SHOULDER) / (1.0 - SHOULDER);
+
 fn to_linear(display: vec3<f32>) -> vec3<f32> {
     let power = pow((max(display, vec3<f32>(0.04045)) + 0.055) / 1.055, vec3<f32>(2.4));
-    return select(power, display / 12.92, display <= vec3<f32>(0.04045));
+    return released(select(power, display / 12.92, display <= vec3<f32>(0.04045)));
 }
 
 fn to_display(linear: vec3<f32>) -> vec3<f32> {
-    let power = 1.055 * pow(clamp(linear, vec3<f32>(0.0031308), vec3<f32>(1.0)), vec3<f32>(1.0 / 2.4)) - 0.055;
+    return beyond_white(min(linear, vec3<f32>(WHITE)));
+}
+
+// The same, which goes on beyond white.
+fn beyond_white(linear: vec3<f32>) -> vec3<f32> {
+    let power = 1.055 * pow(max(held(linear), vec3<f32>(0.0031308)), vec3<f32>(1.0 / 2.4)) - 0.055;
     return select(power, max(linear, vec3<f32>(0.0)) * 12.92, linear <= vec3<f32>(0.0031308));
+}
+
+fn held(linear: vec3<f32>) -> vec3<f32> {
+    let t = (max(linear, vec3<f32>(SHOULDER)) - SHOULDER) / (1.0 - SHOULDER);
+    let shown = SHOULDER + (1.0 - SHOULDER) * t * (1.0 + t / (WIDTH * WIDTH)) / (1.0 + t);
+    return select(shown, linear, linear <= vec3<f32>(SHOULDER));
+}
+
+fn released(held_light: vec3<f32>) -> vec3<f32> {
+    let y = (max(held_light, vec3<f32>(SHOULDER)) - SHOULDER) / (1.0 - SHOULDER);
+    let t = 2.0 * y / (1.0 - y + sqrt((1.0 - y) * (1.0 - y) + 4.0 / (WIDTH * WIDTH) * y));
+    return select(SHOULDER + (1.0 - SHOULDER) * t, held_light, held_light <= vec3<f32>(SHOULDER));
 }

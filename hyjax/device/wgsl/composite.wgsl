@@ -20,7 +20,7 @@ const PANE_UNLIT = 0.05;
 const PANE_LIT = 0.1;
 const SLACK = 0.12;
 const LAMP_DARK = 0.75;
-const LAMP_BRIGHT = 0.95;
+const LAMP_BRIGHT = 1.27;
 const CORE_EXPONENT = 4.0;
 const RIM_WIDTH = 640u;
 
@@ -142,7 +142,7 @@ fn emission_at(pixel: vec2<u32>, photo: vec3<f32>, own_depth: f32, shining: vec3
             let off = clamp(1.0 - max(kept.x, max(kept.y, kept.z)), 0.0, 1.0);
             let lit = off * clamp(max(light.x, max(light.y, light.z)), 0.0, 1.0);
             shown = mix(1.0, burnt, lit); // if it goes on, the photo's soft rim
-            let white = min(light, vec3<f32>(1.0));
+            let white = min(light, vec3<f32>(WHITE));
             sent = white + (light - white) * pow(burnt, CORE_EXPONENT) + kept * photo
                 + LAMP_REFLECTANCE * frame.mean.xyz * max(1.0 - kept, vec3<f32>(0.0)) * shining;
         }

@@ -1,6 +1,6 @@
 // A stage of the frame on the canvas, and the photo wiped over it.
 const SIZE = vec2<u32>($size); // columns, rows
-override most_light: f32 = 1.0; // linear value that is shown as such; more than white in high dynamic range
+override most_light: f32 = WHITE; // brightest light; more than white in high dynamic range
 
 struct Shown {
     stage: u32,  // 0 result, 1 photo, 2 normals, 3 depth, 4 raw filter, 5 refined filter, 6 visibility
@@ -43,15 +43,8 @@ fn fragment(@builtin(position) place: vec4<f32>) -> @location(0) vec4<f32> {
             let left = filter_at(pixel, true);
             return vec4<f32>(select(vec3<f32>(1.0), left / max(whole, vec3<f32>(1e-12)), whole > vec3<f32>(1e-9)), 1.0);
         }
-        default: { return vec4<f32>(beyond_white(shown.stops * image[pixel].xyz) + dither(place.xy), 1.0); }
+        default: { return vec4<f32>(beyond_white(min(shown.stops * image[pixel].xyz, vec3<f32>(most_light))) + dither(place.xy), 1.0); }
     }
-}
-
-// The sRGB curve, which goes on beyond white.
-fn beyond_white(linear: vec3<f32>) -> vec3<f32> {
-    let light = min(linear, vec3<f32>(most_light));
-    let beyond = 1.055 * pow(max(light, vec3<f32>(1.0)), vec3<f32>(1.0 / 2.4)) - 0.055;
-    return select(to_display(light), beyond, light > vec3<f32>(1.0));
 }
 
 // Noise of one step of eight bits, so that dark gradients have no bands (Jimenez, *Next generation post processing in
