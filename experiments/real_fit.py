@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage, optimize
 
-from hyjax.light.color import SHOULDER, WIDTH, held
+from hyjax.light.color import SHOULDER, WHITE, WIDTH, held
 from hyjax.photo_light.radiance import linear
 from hyjax.synthetic.tone_curve import encode_unclipped
 
@@ -34,7 +34,7 @@ def shown(light: np.ndarray) -> np.ndarray:
 def slope(light: np.ndarray) -> np.ndarray:
     """Derivative of `shown`."""
     t = np.maximum(light - SHOULDER, 0.0) / (1.0 - SHOULDER)
-    of_shoulder = ((1.0 + 2.0 * t / WIDTH**2) * (1.0 + t) - t * (1.0 + t / WIDTH**2)) / (1.0 + t) ** 2
+    of_shoulder = np.where(light < WHITE, (1.0 + (2.0 * t + t**2) / WIDTH**2) / (1.0 + t) ** 2, 1.0)
     own = held(light)
     power = 1.055 / 2.4 * np.maximum(own, 0.0031308) ** (1 / 2.4 - 1)
     return np.where(own <= 0.0031308, 12.92, power * of_shoulder)

@@ -32,6 +32,7 @@ from hostile import (
 
 import hyjax
 from hyjax import video
+from hyjax.light.color import WHITE
 from hyjax.util import argument_kinds
 
 SYNONYMS = {"setup": "lights", "lam": "lam"}
@@ -148,7 +149,7 @@ def test_lists_of_whole_numbers_are_no_display_picture() -> None:
     """Values from 0 to 255 may be meant, which bytes would say."""
     with pytest.raises(hyjax.InputError, match=r"^display: must be a float array"):
         hyjax.to_linear([[[255, 128, 0]]])  # type: ignore[arg-type]
-    assert np.array_equal(hyjax.to_linear([[[1, 0, 0]]]), [[[1.0, 0.0, 0.0]]])  # type: ignore[arg-type]
+    assert np.array_equal(hyjax.to_linear([[[1, 0, 0]]]), [[[WHITE, 0.0, 0.0]]])  # type: ignore[arg-type]
 
 
 def test_a_preset_by_name_and_a_single_light() -> None:

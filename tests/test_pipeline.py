@@ -41,6 +41,7 @@ from hyjax import (
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.light.color import encoded
 from hyjax.light.setup import REFERENCE_LUX
 
 H, W = 45, 62
@@ -133,9 +134,9 @@ def test_paper_mode_is_the_composition_of_its_pieces(frame: jax.Array, gbuffer: 
         reference_lux=200.0,
         mode="paper",
     )
-    shading = to_display(shade(gbuffer, LIGHTS) / 200.0)
+    shading = encoded(shade(gbuffer, LIGHTS) / 200.0)
     seen = visibilities(gbuffer, LIGHTS, maps)
-    shadowed = to_display(colored(shade_each(gbuffer, LIGHTS) * seen, LIGHTS) / 200.0)
+    shadowed = encoded(colored(shade_each(gbuffer, LIGHTS) * seen, LIGHTS) / 200.0)
     raw = jnp.where(shading > 0, shadowed / jnp.where(shading > 0, shading, 1.0), 1.0)
     refined, shadows = cascade(shading, guide, SCHEDULE), shadow_pass(raw, guide, SHADOWS)
     expected = {

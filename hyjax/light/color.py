@@ -49,10 +49,11 @@ def to_display(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
 
 
 def held(linear: AnyArray) -> AnyArray:
-    """Light as the shoulder holds it back: `WHITE` becomes 1. NumPy's arrays stay NumPy's."""
+    """Light as the shoulder holds it back: `WHITE` becomes 1, from which it goes on straight. Or of NumPy."""
     xp = linear.__array_namespace__()
-    t = (xp.maximum(linear, SHOULDER) - SHOULDER) / (1.0 - SHOULDER)
-    return xp.where(linear <= SHOULDER, linear, SHOULDER + (1.0 - SHOULDER) * t * (1.0 + t / WIDTH**2) / (1.0 + t))
+    t = (xp.clip(linear, SHOULDER, WHITE) - SHOULDER) / (1.0 - SHOULDER)
+    shoulder = SHOULDER + (1.0 - SHOULDER) * t * (1.0 + t / WIDTH**2) / (1.0 + t)
+    return xp.where(linear <= SHOULDER, linear, shoulder + xp.maximum(linear - WHITE, 0.0))
 
 
 def released(held_light: AnyArray) -> AnyArray:

@@ -18,7 +18,11 @@ GRIDS = ((25, 1.0), (13, 1 / 12), (13, 1 / 72))
 
 
 def displayed(linear: np.ndarray) -> np.ndarray:
-    """Display values of light, see `hyjax.light.color.to_display`."""
+    """Display values of light, see `hyjax.light.color.to_display`.
+
+    >>> [round(float(value), 3) for value in displayed(np.array([0.0, 0.18, 2.0]))]
+    [0.0, 0.461, 1.0]
+    """
     return np.asarray(to_display(jnp.asarray(linear)))
 
 

@@ -104,7 +104,7 @@ def display_unclipped(relight_filter: Float[Array, "*s"], frame: Float[Array, "*
 
     >>> white = jnp.ones((1, 1, 3))
     >>> [round(float(display_unclipped(x * white, white)[0, 0, 0]), 2) for x in (0.0, 1.0, 1.5, 3.0)]
-    [0.0, 0.93, 1.0, 1.09]
+    [0.0, 0.94, 1.0, 1.49]
 
     Args:
         relight_filter: linear, ≥ 0.

@@ -8,13 +8,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hyjax import InputError, blackbody, composite, luminance, to_display, to_linear
-from hyjax.light.color import _power, to_display_bytes
+from hyjax.light.color import (
+    SHOULDER,
+    WHITE,
+    WIDTH,
+    _power,
+    decoded,
+    encoded,
+    held,
+    released,
+    to_display_bytes,
+)
+from hyjax.photo_light.radiance import linear as linear_of
 
 
 def test_known_values() -> None:
     """IEC 61966-2-1: mid grey 128/255 is 21.586 % of white, 18 % grey is 117.65/255; 12.92 below the toe."""
-    np.testing.assert_allclose(to_linear(jnp.array([0.0, 128 / 255, 1.0])), [0.0, 0.2158605, 1.0], rtol=1e-5)
-    np.testing.assert_allclose(to_display(jnp.array([0.0, 0.18, 1.0])) * 255, [0.0, 117.6465, 255.0], rtol=1e-4)
+    np.testing.assert_allclose(to_linear(jnp.array([0.0, 128 / 255, 1.0])), [0.0, 0.2158605, WHITE], rtol=1e-5)
+    np.testing.assert_allclose(to_display(jnp.array([0.0, 0.18, WHITE])) * 255, [0.0, 117.6465, 255.0], rtol=1e-4)
+    np.testing.assert_allclose(decoded(jnp.array([128 / 255, 1.0])), [0.2158605, 1.0], rtol=1e-5)
     np.testing.assert_allclose(to_linear(jnp.array([0.02])), [0.02 / 12.92], rtol=1e-6)
     np.testing.assert_allclose(to_display(jnp.array([0.001])), [0.01292], rtol=1e-6)
 
@@ -24,8 +36,29 @@ def test_single_precision_is_that_of_powers_to_rounding() -> None:
     exact = x.astype(np.float64)
     linear = np.where(exact <= 0.04045, exact / 12.92, ((exact + 0.055) / 1.055) ** 2.4)
     display = np.where(exact <= 0.0031308, exact * 12.92, 1.055 * exact ** (1 / 2.4) - 0.055)
-    np.testing.assert_allclose(to_linear(jnp.asarray(x)), linear, rtol=1e-6)
-    np.testing.assert_allclose(to_display(jnp.asarray(x)), display, rtol=1e-6)
+    np.testing.assert_allclose(decoded(jnp.asarray(x)), linear, rtol=1e-6)
+    np.testing.assert_allclose(encoded(jnp.asarray(x)), display, rtol=1e-6)
+
+
+def test_the_shoulder_is_reinhards() -> None:
+    """Equation 4 of 2002, L (1 + L/w²) / (1 + L), in units of what is left above its start."""
+    light = np.linspace(0.0, WHITE, 4097)
+    above = (light - 0.7) / 0.3
+    wanted = np.where(light < 0.7, light, 0.7 + 0.3 * above * (1 + above / WIDTH**2) / (1 + above))
+    assert pytest.approx(WHITE - 0.7) == WIDTH * 0.3 and SHOULDER == 0.7
+    np.testing.assert_allclose(held(light), wanted, rtol=1e-12)
+    np.testing.assert_allclose(released(held(light)), light, rtol=1e-9)
+    np.testing.assert_allclose(released(held(jnp.asarray(light, jnp.float32))), light, rtol=2e-6)
+    np.testing.assert_allclose(held(WHITE + light), 1.0 + light)  # straight on beyond white
+    with jax.enable_x64(True):
+        slope = jax.vmap(jax.grad(held))(jnp.asarray(light))
+        np.testing.assert_allclose(slope[1:-1], (held(light[2:]) - held(light[:-2])) / (2 * light[1]), rtol=2e-3)
+        assert slope[:1900].min() == 1.0 and np.all(np.diff(slope[2000:-1]) < 0)
+
+
+def test_numpys_decoding_is_to_linear() -> None:
+    x = np.linspace(0.0, 1.0, 4097)
+    np.testing.assert_allclose(linear_of(x), to_linear(jnp.asarray(x, jnp.float32)), rtol=3e-6, atol=1e-9)
 
 
 def test_bytes_come_back_as_they_were() -> None:
@@ -51,17 +84,17 @@ def test_round_trip(values: list[float]) -> None:
 
 
 def test_monotone_without_a_jump_and_gradients_are_finite() -> None:
-    x = jnp.linspace(0.0, 1.0, 4097)
-    for curve in (to_linear, to_display):
+    for curve, most in ((to_linear, 1.0), (to_display, WHITE)):
+        x = jnp.linspace(0.0, most, 4097)
         y = np.asarray(curve(x))
-        assert np.all(np.diff(y) > 0) and np.diff(y).max() < 14 / 4096
+        assert np.all(np.diff(y) > 0) and np.diff(y).max() < 14 * most / 4096
         gradient = np.asarray(jax.vmap(jax.grad(curve))(x))
         assert np.all(np.isfinite(gradient)) and np.all(gradient[:-1] > 0)
         np.testing.assert_allclose(gradient[0], 12.92 if curve is to_display else 1 / 12.92, rtol=1e-5)
 
 
 def test_display_clips() -> None:
-    x = jnp.array([-1.0, 1.5, 300.0])
+    x = jnp.array([-1.0, WHITE, 300.0])
     np.testing.assert_allclose(to_display(x), [0.0, 1.0, 1.0], rtol=1e-6)
     assert np.all(np.isfinite(jax.vmap(jax.grad(to_display))(x)))
     assert np.all(np.isfinite(jax.vmap(jax.grad(to_linear))(jnp.array([-0.5, 2.0]))))

@@ -8,7 +8,17 @@ import pytest
 
 from hyjax.core.schedule import Schedule
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
-from hyjax.light.emission import PANE_REFLECTANCE, PANE_SHARE, PANE_WHITE, Emitters, emission, radiant_filter
+from hyjax.light.color import WHITE
+from hyjax.light.emission import (
+    LAMP_BRIGHT,
+    LAMP_DARK,
+    PANE_REFLECTANCE,
+    PANE_SHARE,
+    PANE_WHITE,
+    Emitters,
+    emission,
+    radiant_filter,
+)
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import AmbientLight, Aperture, Light, PointLight, RectLight
 from hyjax.light.panes import Bars
@@ -135,10 +145,10 @@ def test_a_view_does_not_burn_out_and_keeps_its_contrast() -> None:
 def test_a_lamp_covers_a_disc_where_the_photo_is_burnt_out() -> None:
     lamps = np.array([[2.0, 0.0, 0.0, 0.2]])
     source = emitters(np.zeros((1, 3)), panes=np.zeros((0, 3, 3)), lamps=lamps)
-    white = jnp.ones((*LENS.shape, 3))
+    white = jnp.full((*LENS.shape, 3), WHITE)
     area = float(found(source, white, wall(2.0)).weight.sum())
     assert area == pytest.approx(np.pi * (0.3 * 10) ** 2, rel=0.1)
-    assert float(found(source, 0.5 * white, wall(2.0)).weight.max()) == 0
+    assert float(found(source, 0.3 * white, wall(2.0)).weight.max()) == 0
 
 
 def view(frame: float = 0.6) -> View:
@@ -166,7 +176,7 @@ def test_a_lamps_rim_goes_out_with_it() -> None:
     """Its pixels are mixed with what lies behind, and less bright."""
     source = emitters(np.zeros((1, 3)), panes=np.zeros((0, 3, 3)), lamps=np.array([[2.0, 0.0, 0.0, 0.5]]))
     photo = np.full((24, 32, 3), 0.1, np.float32)
-    photo[9:16, 13:20], photo[10:15, 14:19] = 0.6, 1.0
+    photo[9:16, 13:20], photo[10:15, 14:19] = 0.6, WHITE
     weight = np.asarray(found(source, jnp.asarray(photo), wall(2.0)).weight)[..., 0]
     assert weight[9:16, 13:20].min() == 1.0 and weight[7, 16] == weight[12, 10] == 0.0
 
@@ -175,7 +185,7 @@ def test_a_lamp_that_shines_has_the_photos_soft_rim() -> None:
     """Those same pixels would else give it steps as wide as they are, in the bulb's full light."""
     lamp = emitters(np.full((1, 3), 40.0), panes=np.zeros((0, 3, 3)), lamps=np.array([[2.0, 0.0, 0.0, 0.5]]))
     photo = np.full((24, 32, 3), 0.1, np.float32)
-    photo[9:16, 13:20], photo[10:15, 14:19], photo[11:14, 15:18] = 0.6, 0.85, 1.0
+    photo[9:16, 13:20], photo[10:15, 14:19], photo[11:14, 15:18] = 0.6, (LAMP_DARK + LAMP_BRIGHT) / 2, WHITE
     shining = found(lamp, jnp.asarray(photo), wall(2.0))
     given = np.asarray(shining.weight * shining.sent)[..., 0]
     assert (given[11:14, 15:18] == 20.0).all() and given[9, 13:20].max() == 0.0
@@ -189,7 +199,7 @@ def test_a_lamp_that_shines_has_the_photos_soft_rim() -> None:
     assert float(found(stays_on, photo, wall(2.0)).weight[9, 16, 0]) == pytest.approx(0.5, abs=1e-5)
 
 
-@pytest.mark.parametrize(("bright", "is_lamp"), [(0.77, False), (1.0, True)])
+@pytest.mark.parametrize(("bright", "is_lamp"), [(0.77, False), (WHITE, True)])
 def test_before_a_pane_a_lamp_has_the_pixels_that_are_more_its_own(bright: float, is_lamp: bool) -> None:
     frame, sent = jnp.full((*LENS.shape, 3), bright), np.array([[2.0] * 3, [0.0] * 3])
     both = found(emitters(sent, lamps=np.array([[1.0, 0.0, 0.0, 0.3]])), frame, wall(hit=False))

@@ -130,7 +130,7 @@ def test_a_source_has_the_border_of_a_picture_at_full_size() -> None:
     matrix = np.array([[80.0, 0, 45], [0, 80, 30], [0, 0, 1]], np.float32)
     small = jnp.asarray(matrix / np.array([[factor], [factor], [1]]), jnp.float32)
     seen = level_shape((height, width), factor)
-    whole = emission_of(emitters, full, wall((height, width)).open_depth, pose, jnp.asarray(matrix))
+    whole = emission_of(emitters, to_linear(full), wall((height, width)).open_depth, pose, jnp.asarray(matrix))
     assert 20 < float(whole.weight.sum()) < 1000
 
     def drawn(picture: Float[Array, "h w 3"], surface: GBuffer) -> Emission:

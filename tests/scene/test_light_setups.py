@@ -11,7 +11,7 @@ import trimesh
 from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
-from hyjax.light.color import to_display
+from hyjax.light.color import WHITE, to_display
 from hyjax.light.kinds import AmbientLight, DirectionalLight, PointLight, RectLight, SkyLight
 from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import dark_share
@@ -436,13 +436,13 @@ def test_white_walls_take_less_light_than_dark_ones(name: str, box: RayCaster) -
         setup = exposed(raw, lux, seen, EXPOSURES[name], answer)
         own = seen.lux(setup.lights)
         light = np.maximum(own[:, near].sum(axis=1), 0.3 * own[:, ~(near | parallel)].sum(axis=1))
-        burnt = seen.of_cameras(value * light / setup.reference_lux, 0.9) > 1.02 * max(1.0, photo_value)
+        burnt = seen.of_cameras(value * light / setup.reference_lux, 0.9) > 1.02 * max(WHITE, photo_value)
         return float(setup.reference_lux), float(burnt.max())
 
-    white, dark = relit(0.95), relit(0.1)
+    white, dark = relit(0.95 * WHITE), relit(0.1)
     assert white[0] >= dark[0] and white[1] == dark[1] == 0
     assert white[0] > dark[0] or name != "evening-lamps", "the sun bounds the others"
-    assert relit(20.0)[0] == pytest.approx(relit(1.0)[0]), "what the photo itself burns out may stay so"
+    assert relit(20.0)[0] == pytest.approx(relit(WHITE)[0]), "what the photo itself burns out may stay so"
 
 
 @pytest.mark.parametrize("photo_value", [0.3, 0.95])
@@ -458,7 +458,7 @@ def test_ambient_light_burns_no_white_wall_out(photo_value: float, box: RayCaste
     fill = sum(0.5 * float(light.illuminance) for light in setup.lights if light.UNIFORM)
     light = ((lux * paleness(raw.lights))[:, near].sum(axis=1) + fill) / float(setup.reference_lux)
     brightest = seen.of_cameras(photo_value * light, 0.9)[0]
-    assert brightest < 1.01
+    assert brightest < 1.01 * WHITE
     if photo_value < 0.5:  # nothing burns: the exposure is kept
         assert np.median(seen.of_cameras(light)) > 0.8 * exposure.share
 
@@ -558,7 +558,7 @@ def test_a_fixed_exposure_is_left_for_pictures_that_would_end_dark_or_burnt(
         assert np.median(seen.of_cameras(pale / left / photo_light)) == pytest.approx(kept)
     bright = dataclasses.replace(response, photo_value=np.full(len(lux), 0.8))
     strongest = 0.8 * lux.sum(axis=1) / photo_light / bounded(setup, lux, seen, bright).reference_lux
-    assert (seen.of_cameras(strongest, 0.9) <= 1.0 + 1e-6).all()
+    assert (seen.of_cameras(strongest, 0.9) <= WHITE * (1.0 + 1e-6)).all()
     assert bounded(setup, 0 * lux, seen, response).reference_lux == setup.reference_lux, "no light, no exposure"
 
 

@@ -19,9 +19,9 @@ fn beyond_white(linear: vec3<f32>) -> vec3<f32> {
 }
 
 fn held(linear: vec3<f32>) -> vec3<f32> {
-    let t = (max(linear, vec3<f32>(SHOULDER)) - SHOULDER) / (1.0 - SHOULDER);
-    let shown = SHOULDER + (1.0 - SHOULDER) * t * (1.0 + t / (WIDTH * WIDTH)) / (1.0 + t);
-    return select(shown, linear, linear <= vec3<f32>(SHOULDER));
+    let t = (clamp(linear, vec3<f32>(SHOULDER), vec3<f32>(WHITE)) - SHOULDER) / (1.0 - SHOULDER);
+    let shoulder = SHOULDER + (1.0 - SHOULDER) * t * (1.0 + t / (WIDTH * WIDTH)) / (1.0 + t);
+    return select(shoulder + max(linear - WHITE, vec3<f32>(0.0)), linear, linear <= vec3<f32>(SHOULDER));
 }
 
 fn released(held_light: vec3<f32>) -> vec3<f32> {
