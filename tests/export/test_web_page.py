@@ -40,6 +40,7 @@ from hyjax.export.page_sun import sun_table
 from hyjax.export.single_page import single_page
 from hyjax.export.web import THUMBNAIL, check_page_folder, write_page
 from hyjax.geometry.shadow_caster import cast_shadow_maps
+from hyjax.light.color import held, to_display
 from hyjax.light.kinds.point import PointLight
 from hyjax.light.setup import LightSetup
 from hyjax.pipeline import relight
@@ -410,7 +411,7 @@ def test_a_display_of_high_dynamic_range_shows_what_is_beyond_white(visit: Visit
         *how, values = visit.page.evaluate(SHOWN_LIGHT, [True, light])
         assert how == ["rgba16float", "extended"]
         encoded = np.frombuffer(bytes(values), np.float16)[:3].astype(float)
-        np.testing.assert_allclose(encoded, 1.055 * shown ** (1 / 2.4) - 0.055, atol=4e-3)
+        np.testing.assert_allclose(encoded, 1.055 * held(np.asarray(shown)) ** (1 / 2.4) - 0.055, atol=4e-3)
     *how, values = visit.page.evaluate(SHOWN_LIGHT, [False, 9.0])
     assert how[0].endswith("8unorm") and how[1] == "standard" and values[:3] == [255, 255, 255]
 
@@ -874,7 +875,7 @@ def test_notices_lie_beside_the_picture_which_stays(visit: Visit, size: tuple[in
 def test_dark_gradients_have_no_bands(visit: Visit) -> None:
     """What is shown differs from what was computed by rounding and noise, half a step each."""
     linear = visit.pixels()
-    exact = 255 * np.asarray(hyjax.to_display(linear))
+    exact = 255 * np.asarray(to_display(linear))
     error = (canvas(visit) - exact)[exact.min(-1) > 2]
     assert np.abs(error).max() < 1.05 and 0.35 < error.std() < 0.5
 
