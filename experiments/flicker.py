@@ -36,6 +36,7 @@ from experiments.plotting import panels
 from experiments.records import Row, of_kind
 from hyjax.core.schedule import Schedule
 from hyjax.data.frames import select_frames
+from hyjax.light.color import decoded, encoded
 from hyjax.metrics import psnr
 from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.errors import InputError
@@ -78,11 +79,11 @@ def main(config: Config, start: Start) -> None:
     with config.bench(capture, schedule) as bench:
         for view in bench.views(chosen, "relighting"):
             filters = filters_of(bench, view, videos)
-            target = multiplied(view, hyjax.to_linear(filters[ACCURATE]), "light")
+            target = multiplied(view, decoded(filters[ACCURATE]), "light")
             pair = None if last is None else Pair(last, view)
             shown = []
             for name, relight_filter in filters.items():
-                relit = multiplied(view, hyjax.to_linear(relight_filter), "light")
+                relit = multiplied(view, decoded(relight_filter), "light")
                 scores: dict[str, Any] = {"psnr": float(psnr(relit, target, valid=view.valid))}
                 if pair is not None:
                     difference = pair.difference(name, relight_filter)
@@ -113,7 +114,7 @@ def filters_of(bench: Bench, view: View, videos: dict[float, Video]) -> dict[str
         kept = bench.relight(view, LIGHTS, "linear", bench.schedules["linear"], temporal_filter=temporal_filter)
         found[kept_name(share)] = kept.refined
     found[ACCURATE] = bench.relight(view, LIGHTS, "linear", RAW_SCHEDULE, accurate=True).shading
-    return {name: jnp.clip(hyjax.to_display(f), 0.0, 1.0) for name, f in found.items()}
+    return {name: encoded(f) for name, f in found.items()}
 
 
 def kept_name(share: float) -> str:

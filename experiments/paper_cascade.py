@@ -27,6 +27,7 @@ from experiments.plotting import new_figure
 from experiments.records import Row, of_kind, size_of
 from hyjax import metrics
 from hyjax.core.schedule import Schedule
+from hyjax.light.color import encoded
 from hyjax.pipeline import Mode
 from hyjax.tuning.calibration import MOST_SECONDS
 from hyjax.tuning.clock import rounds_of
@@ -75,7 +76,7 @@ def schedules() -> dict[str, Schedule]:
 
 def displayed(relight_filter: Float[Array, "h w 3"], mode: Mode) -> Float[Array, "h w 3"]:
     """A filter as a picture."""
-    return jnp.clip(relight_filter if mode == "paper" else hyjax.to_display(relight_filter), 0.0, 1.0)
+    return jnp.clip(relight_filter if mode == "paper" else encoded(relight_filter), 0.0, 1.0)
 
 
 def rms(a: Array, b: Array, weight: Array, mode: Mode) -> float:

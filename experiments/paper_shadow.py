@@ -171,7 +171,7 @@ def pictures(view: View, bench: Bench, mode: Mode, rough_maps: Any, accurate_map
         separate = bench.relight(view, LIGHTS, mode, bench.schedules[mode], accurate=accurate, shadow_maps=maps)
         relit += [separate.unrefined, together(view, bench, mode, maps, accurate), separate.image]
     truth = relit.pop(3)
-    seen = [np.asarray(hyjax.to_display(jnp.clip(GAIN * x, 0.0, 1.0))) for x in (*relit, truth)]
+    seen = [np.asarray(hyjax.to_display(GAIN * x)) for x in (*relit, truth)]
     return [np.asarray(view.display), *seen]
 
 

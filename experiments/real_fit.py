@@ -12,9 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage, optimize
 
-from hyjax.light.color import SHOULDER, WHITE, WIDTH, held
+from hyjax.light.color import SHOULDER, WHITE, WIDTH, held, unclipped
 from hyjax.photo_light.radiance import linear
-from hyjax.synthetic.tone_curve import encode_unclipped
 
 BLOCK_SIDE = 32
 """Side, in pixels, of the blocks of the checkerboard: half are fitted on, half scored."""
@@ -27,14 +26,14 @@ Picture = Float[np.ndarray, "h w 3"]
 
 
 def shown(light: np.ndarray) -> np.ndarray:
-    """Display values of light, going on beyond white; `hyjax.light.color.display_curve` in NumPy."""
-    return encode_unclipped(held(light))
+    """Display values of light, going on beyond white."""
+    return unclipped(held(light))
 
 
 def slope(light: np.ndarray) -> np.ndarray:
     """Derivative of `shown`."""
     t = np.maximum(light - SHOULDER, 0.0) / (1.0 - SHOULDER)
-    of_shoulder = np.where(light < WHITE, (1.0 + (2.0 * t + t**2) / WIDTH**2) / (1.0 + t) ** 2, 1.0)
+    of_shoulder = np.where(light <= WHITE, (1.0 + (2.0 * t + t**2) / WIDTH**2) / (1.0 + t) ** 2, 1.0)
     own = held(light)
     power = 1.055 / 2.4 * np.maximum(own, 0.0031308) ** (1 / 2.4 - 1)
     return np.where(own <= 0.0031308, 12.92, power * of_shoulder)

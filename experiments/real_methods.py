@@ -15,9 +15,9 @@ from experiments.real_fit import (
     chosen_lights,
     fit_both,
     fit_strengths,
-    shown,
     smooth_picture,
 )
+from hyjax.metrics.exposure import displayed
 from hyjax.photo_light.radiance import linear
 
 PHOTO, GAINS, SMOOTH, SMOOTHER = "untouched photo", "three gains", "exp(polynomial 4)", "exp(polynomial 7)"
@@ -93,7 +93,7 @@ def default_picture(place: RealPlace) -> Made:
 
 
 def _shown(light: Picture, unknowns: int) -> Made:
-    return Made(np.minimum(shown(light), 1.0), unknowns)
+    return Made(displayed(light), unknowns)
 
 
 def _chosen(columns: Columns, place: RealPlace, target: Target, more: int | None = None) -> list[int]:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from hyjax.light.color import to_display
+from hyjax.light.color import encoded, to_display
 from hyjax.light.relit import Relit
 from hyjax.util.contact_sheet import BACKGROUND, contact_sheet
 from hyjax.util.images import picture_file
@@ -26,7 +26,7 @@ def stages_sheet(photo: Float[np.ndarray, "h w 3"], relit: Relit) -> Sheet:
     """Stages of a relit frame, display-encoded; `photo` is display-encoded, too."""
     filters = {"raw filter": relit.shading, "refined": relit.refined, "with shadows": relit.relight_filter}
     gain = _gain(relit.refined)
-    named: dict[str, Any] = {name: _display(gain * each) for name, each in filters.items()}
+    named: dict[str, Any] = {name: np.asarray(encoded(gain * each)) for name, each in filters.items()}
     named = {"photo": photo, **named, "visibility": np.asarray(relit.visibility)}
     return _sheet(named | {"frame x raw filter": _display(relit.unrefined), "relit": _display(relit.image)})
 
@@ -34,7 +34,7 @@ def stages_sheet(photo: Float[np.ndarray, "h w 3"], relit: Relit) -> Sheet:
 def levels_sheet(levels: Sequence[tuple[str, Float[Array, "h w 3"]]]) -> Sheet:
     """Light after each level of a cascade, over the reference."""
     gain = _gain(levels[-1][1])
-    return _sheet({name: _display(gain * light) for name, light in levels})
+    return _sheet({name: np.asarray(encoded(gain * light)) for name, light in levels})
 
 
 def compared_sheet(first: tuple[str, Any], second: tuple[str, Any]) -> Sheet:

@@ -25,7 +25,7 @@ from hyjax.util.tracing import concrete
 # Luminance of linear Rec. 709 red, green and blue.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 SHOULDER, WHITE = 0.7, 1.5
-"""Light that is held back from, and light that is shown as white."""
+"""Linear values: where the shoulder begins, and what is shown as white."""
 WIDTH = (WHITE - SHOULDER) / (1.0 - SHOULDER)
 """Width of the shoulder, in units of what is left above it on the display."""
 AnyArray = TypeVar("AnyArray", jax.Array, np.ndarray)
@@ -37,60 +37,67 @@ BLACKBODY_KELVIN = (1667.0, 25000.0)
 @checked_arguments(display=["display"])
 @jax.jit
 def to_linear(display: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """Display-encoded values in [0, 1] → linear light in [0, `WHITE`]. Bytes are divided by 255."""
+    """Display-encoded values in [0, 1] → linear light in [0, `WHITE`], which is 1.5. Bytes are divided by 255."""
     return released(decoded(display))
 
 
 @checked_arguments
 @jax.jit
 def to_display(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """Linear light → display-encoded values in [0, 1]; anything brighter than `WHITE` is clipped to it."""
+    """Linear light → display-encoded values in [0, 1]; what is brighter than `WHITE`, 1.5, is clipped to it."""
     return encoded(held(linear))
 
 
 def held(linear: AnyArray) -> AnyArray:
-    """Light as the shoulder holds it back: `WHITE` becomes 1, from which it goes on straight. Or of NumPy."""
+    """Light as the shoulder holds it back: `WHITE` becomes 1. Brighter light goes on with slope 1."""
     xp = linear.__array_namespace__()
     t = (xp.clip(linear, SHOULDER, WHITE) - SHOULDER) / (1.0 - SHOULDER)
     shoulder = SHOULDER + (1.0 - SHOULDER) * t * (1.0 + t / WIDTH**2) / (1.0 + t)
-    return xp.where(linear <= SHOULDER, linear, shoulder + xp.maximum(linear - WHITE, 0.0))
+    # By `where`: the gradient at white is that of what is darker, and not the mean of both sides.
+    return xp.where(linear <= SHOULDER, linear, xp.where(linear <= WHITE, shoulder, linear - WHITE + 1.0))
 
 
 def released(held_light: AnyArray) -> AnyArray:
     """Light that the shoulder has held back: the inverse of `held`, without cancellation near its start."""
     xp = held_light.__array_namespace__()
-    y = (xp.maximum(held_light, SHOULDER) - SHOULDER) / (1.0 - SHOULDER)
+    y = (xp.clip(held_light, SHOULDER, 1.0) - SHOULDER) / (1.0 - SHOULDER)
     t = 2.0 * y / (1.0 - y + xp.sqrt((1.0 - y) ** 2 + 4.0 / WIDTH**2 * y))
-    return xp.where(held_light <= SHOULDER, held_light, SHOULDER + (1.0 - SHOULDER) * t)
+    shoulder = SHOULDER + (1.0 - SHOULDER) * t
+    beyond = xp.where(held_light <= 1.0, shoulder, held_light - 1.0 + WHITE)
+    return xp.where(held_light <= SHOULDER, held_light, beyond)
 
 
-def encoded(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """sRGB's encoding alone, of values that are clipped to [0, 1]."""
-    power = encoding_curve(jnp.clip(linear, 0.0031308, 1.0))
+def encoded(linear: AnyArray) -> AnyArray:
+    """sRGB's encoding alone, clipped to [0, 1]: for shares and colours, and for filters as pictures."""
+    xp = linear.__array_namespace__()
     # `where` and not `maximum`, whose gradient at a tie is half: black pixels keep the slope of the light they get.
-    return jnp.where(linear < 0.0, 0.0, jnp.where(linear <= 0.0031308, linear * 12.92, power))
+    return xp.where(linear < 0.0, 0.0, unclipped(xp.clip(linear, None, 1.0)))
 
 
-def decoded(display: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """Values of sRGB's encoding, decoded."""
-    # Both branches are evaluated and differentiated: the power sees only values from its own side.
-    power = _power((jnp.maximum(display, 0.04045) + 0.055) / 1.055, 2.4)
-    return jnp.where(display <= 0.04045, display / 12.92, power)
+def unclipped(linear: AnyArray) -> AnyArray:
+    """sRGB's encoding, continued above 1 and below 0.
 
-
-def encoding_curve(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """The curved part of sRGB's encoding, above 0.0031308, and its continuation above 1.
-
-    >>> [round(float(x), 4) for x in encoding_curve(jnp.array([0.18, 1.0, 2.0]))]
+    >>> [round(float(x), 4) for x in unclipped(jnp.array([0.18, 1.0, 2.0]))]
     [0.4614, 1.0, 1.3533]
     """
-    return 1.055 * _power(linear, 1.0 / 2.4) - 0.055
+    xp = linear.__array_namespace__()
+    power = 1.055 * _power(xp.maximum(linear, 0.0031308), 1.0 / 2.4) - 0.055
+    return xp.where(linear <= 0.0031308, linear * 12.92, power)
 
 
-def _power(base: Float[Array, "*s"], exponent: float) -> Float[Array, "*s"]:
+def decoded(display: AnyArray) -> AnyArray:
+    """The inverse of sRGB's encoding."""
+    xp = display.__array_namespace__()
+    # Both branches are evaluated and differentiated: the power sees only values from its own side.
+    power = _power((xp.maximum(display, 0.04045) + 0.055) / 1.055, 2.4)
+    return xp.where(display <= 0.04045, display / 12.92, power)
+
+
+def _power(base: AnyArray, exponent: float) -> AnyArray:
     """Power of numbers above 0, to rounding: XLA's CPU backend takes four times longer for `**`."""
+    xp = base.__array_namespace__()
     exact = base.astype(jnp.promote_types(base.dtype, jnp.float32))
-    return jnp.exp(exponent * jnp.log(exact)).astype(base.dtype)
+    return xp.exp(exponent * xp.log(exact)).astype(base.dtype)
 
 
 @jax.jit

@@ -2,11 +2,10 @@
 
 from collections.abc import Callable
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from hyjax.light.color import to_display
+from hyjax.light.color import encoded, held
 
 Response = Callable[[np.ndarray], np.ndarray]
 LARGEST_GAIN = 12.0
@@ -23,7 +22,7 @@ def displayed(linear: np.ndarray) -> np.ndarray:
     >>> [round(float(value), 3) for value in displayed(np.array([0.0, 0.18, 2.0]))]
     [0.0, 0.461, 1.0]
     """
-    return np.asarray(to_display(jnp.asarray(linear)))
+    return encoded(held(np.asarray(linear)))
 
 
 def fit_gains(

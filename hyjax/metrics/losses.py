@@ -27,7 +27,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from hyjax.core.pyramid import downsample
 from hyjax.core.stencil import Edges, divergence, gradient
-from hyjax.light.color import encoding_curve, held
+from hyjax.light.color import held, unclipped
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
 from hyjax.util.tracing import concrete
@@ -113,8 +113,7 @@ def display_unclipped(relight_filter: Float[Array, "*s"], frame: Float[Array, "*
     Returns:
         Display values, above 1 where the product is.
     """
-    linear = held(relight_filter * frame)
-    return jnp.where(linear <= 0.0031308, linear * 12.92, encoding_curve(jnp.maximum(linear, 0.0031308)))
+    return unclipped(held(relight_filter * frame))
 
 
 @checked_arguments

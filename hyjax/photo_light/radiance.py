@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from hyjax.data.capture import MARGIN_DEPTH, Frame
 from hyjax.geometry.raycast import RayCaster
-from hyjax.light.color import released
+from hyjax.light.color import decoded, released
 from hyjax.photo_light.sources import SATURATED_VALUE
 
 SATURATED_WEIGHT = 0.02
@@ -44,8 +44,7 @@ class VertexRadiance:
 
 def linear(display: Float[np.ndarray, "*s"]) -> Float[np.ndarray, "*s"]:
     """Light of display values, in NumPy; see `hyjax.light.color.to_linear`."""
-    x = np.asarray(display, np.float64)
-    return released(np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0.04045) + 0.055) / 1.055) ** 2.4))
+    return released(decoded(np.asarray(display, np.float64)))
 
 
 def black_margin(image: Float[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:

@@ -15,7 +15,7 @@ from hyjax.core.finite import finite_or_zero
 from hyjax.data.capture import Frame
 from hyjax.data.frames import shrink, spread
 from hyjax.geometry.raycast import RayCaster
-from hyjax.light.color import to_linear
+from hyjax.light.color import WHITE, to_linear
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.panes import MOST_BARS, NO_BAR, PANE_SLACK, Bars, open_shares
 from hyjax.photo_light.sources import PhotoWindow
@@ -69,7 +69,7 @@ def pane_arrays(windows: Sequence[PhotoWindow], frames: Sequence[Frame], caster:
         for number, share in enumerate(open_shares(jnp.asarray(panes), bars, linear, gbuffer.open_depth, *camera)):
             total[number] += np.einsum("hw,hwc->c", share, linear)
             weight[number] += float(share.sum())
-    means = np.where((weight > 1.0)[:, None], total / weight[:, None], 1.0).astype(np.float32)
+    means = np.where((weight > 1.0)[:, None], total / weight[:, None], WHITE).astype(np.float32)
     return {"bar_spans": np.asarray(bars.spans), "bar_recess": np.asarray(bars.recess), "pane_means": means}
 
 

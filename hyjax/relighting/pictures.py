@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hyjax.data.capture import Frame
-from hyjax.light.color import decoded, to_display
+from hyjax.light.color import decoded, encoded, to_display
 from hyjax.light.relit import Relit
 from hyjax.pipeline import Mode
 from hyjax.relighting.settings import RelightSettings
@@ -47,7 +47,7 @@ def write_frame(
     shown = {}
     with clock("write"):
         for kind, picture in pictures.items():
-            shown[kind] = _shown(picture, encoded=kind == "visibility" or (mode == "paper" and kind != "relit"))
+            shown[kind] = _shown(picture) if kind == "relit" else _shown_share(picture, mode, kind)
             write_png(out / f"{name}.{kind}.png", shown[kind])
             if exr:
                 encoded_filter = mode == "paper" and kind in ("filter", "refined")
@@ -64,12 +64,18 @@ def sheet_row(frame: Frame, relit: Relit, mode: Mode) -> list[Float[np.ndarray, 
     return [
         frame.image,
         _shown(relit.image),
-        _shown(np.asarray(relit.shading) / np.float32(dim), encoded=paper),
-        _shown(np.asarray(relit.refined) / np.float32(dim), encoded=paper),
-        _shown(relit.visibility, encoded=True),
+        _shown_share(np.asarray(relit.shading) / np.float32(dim), mode),
+        _shown_share(np.asarray(relit.refined) / np.float32(dim), mode),
+        _shown_share(relit.visibility, mode, "visibility"),
         _shown(relit.unrefined),
     ]
 
 
-def _shown(picture: Any, encoded: bool = False) -> Float[np.ndarray, "h w 3"]:
-    return np.asarray(picture if encoded else run_kept(to_display, picture))
+def _shown(picture: Any) -> Float[np.ndarray, "h w 3"]:
+    return np.asarray(run_kept(to_display, picture))
+
+
+def _shown_share(picture: Any, mode: Mode, kind: str = "filter") -> Float[np.ndarray, "h w 3"]:
+    """A filter, which is no light, or the visibility; the paper's are display values as they are."""
+    as_is = mode == "paper" or kind == "visibility"
+    return np.asarray(picture if as_is else run_kept(encoded, picture))

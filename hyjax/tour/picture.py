@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float, Shaped, UInt8
 from hyjax.core.diffusion import conductance
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
-from hyjax.light.color import luminance, to_display, to_linear
+from hyjax.light.color import encoded, luminance, to_display, to_linear
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.relit import Relit
 from hyjax.light.shaded import Shaded
@@ -66,7 +66,7 @@ def shown_stage(
             return to_bytes(_over(result.unrefined, frame.image))
         if shown == "visibility":
             return to_bytes(np.asarray(result.visibility))
-        return np.asarray(_encoded(result.relight_filter))
+        return to_bytes(np.asarray(encoded(result.relight_filter)))
     if shown == "relit":
         return np.asarray(_encoded(result))
     if shown == "conductances":
@@ -104,7 +104,7 @@ def reach_of(shaded: Shaded) -> Float[Array, "2 l"]:
 
 @jax.jit
 def _over(picture: Float[Array, "h w 3"], display: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
-    return to_display(picture / jnp.maximum(to_linear(display), 1e-3))
+    return encoded(picture / jnp.maximum(to_linear(display), 1e-3))
 
 
 @jax.jit

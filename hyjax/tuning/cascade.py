@@ -12,7 +12,7 @@ from jaxtyping import Float
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import PRESETS, Schedule
 from hyjax.data.frames import spread
-from hyjax.light.color import to_display
+from hyjax.light.color import encoded, to_display
 from hyjax.tuning.bench import Workbench
 from hyjax.tuning.budget import MOST_STEPS
 from hyjax.tuning.cases import Case, raw_filter, refined_filter, scores
@@ -230,6 +230,6 @@ def _pictures(case: Case, paper: Candidate, ours: Candidate) -> dict[str, Float[
     # Filters brighter than white are dimmed, all alike, until their structure shows.
     dim = max(1.0, float(np.percentile(np.asarray(case.target), 98)))
     pictures: dict[str, Any] = {"frame": to_display(case.frame)}
-    pictures |= {f"filter: {name}": to_display(relight_filter / dim) for name, relight_filter in filters.items()}
+    pictures |= {f"filter: {name}": encoded(relight_filter / dim) for name, relight_filter in filters.items()}
     pictures |= {name: to_display(relight_filter * case.frame) for name, relight_filter in filters.items()}
     return {name: np.asarray(picture) for name, picture in pictures.items()}

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 FILE_NAME = "study.log"
 UNUSABLE_LOSS = 1e9
 """Stands for a loss that is not a number."""
-VERSION = 5
+VERSION = 6
 """Version of the journal. Add one whenever its contents mean something else."""
 _log = logging.getLogger(__name__)
 KEPT_FIELDS = ("choices", "phase", "losses", "time", "cases", "improve", "source", "predicted")

@@ -24,7 +24,7 @@ from hyjax.data.light_file import write_lights
 from hyjax.export.page_sun import sun_table
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.shadow_caster import cast_shadow_maps
-from hyjax.light.color import to_display
+from hyjax.light.color import encoded
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.kinds import DirectionalLight, PointLight, SkyLight
 from hyjax.metrics.psnr import psnr
@@ -94,7 +94,7 @@ def test_a_picture_is_the_relighters(plan: TourPlan, tmp_path: Path, name: str) 
     assert not rendered.draft
     np.testing.assert_allclose(rendered.linear, relit.image, rtol=2e-4, atol=2e-5)
     filter_ = renderer.render(plan, Viewpoint(0, "refined filter", configuration.schedule)).picture / 255.0
-    assert psnr(filter_, to_display(relit.relight_filter)) > 50.0
+    assert psnr(filter_, encoded(relit.relight_filter)) > 50.0
 
 
 def test_a_large_frame_is_not_lit_smaller(

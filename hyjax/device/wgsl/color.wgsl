@@ -8,6 +8,12 @@ fn to_linear(display: vec3<f32>) -> vec3<f32> {
     return released(select(power, display / 12.92, display <= vec3<f32>(0.04045)));
 }
 
+// sRGB's encoding alone, for filters.
+fn encoded(linear: vec3<f32>) -> vec3<f32> {
+    let power = 1.055 * pow(clamp(linear, vec3<f32>(0.0031308), vec3<f32>(1.0)), vec3<f32>(1.0 / 2.4)) - 0.055;
+    return select(power, max(linear, vec3<f32>(0.0)) * 12.92, linear <= vec3<f32>(0.0031308));
+}
+
 fn to_display(linear: vec3<f32>) -> vec3<f32> {
     return beyond_white(min(linear, vec3<f32>(WHITE)));
 }
@@ -25,7 +31,7 @@ fn held(linear: vec3<f32>) -> vec3<f32> {
 }
 
 fn released(held_light: vec3<f32>) -> vec3<f32> {
-    let y = (max(held_light, vec3<f32>(SHOULDER)) - SHOULDER) / (1.0 - SHOULDER);
+    let y = (clamp(held_light, vec3<f32>(SHOULDER), vec3<f32>(1.0)) - SHOULDER) / (1.0 - SHOULDER);
     let t = 2.0 * y / (1.0 - y + sqrt((1.0 - y) * (1.0 - y) + 4.0 / (WIDTH * WIDTH) * y));
     return select(SHOULDER + (1.0 - SHOULDER) * t, held_light, held_light <= vec3<f32>(SHOULDER));
 }

@@ -36,7 +36,7 @@ fn fragment(@builtin(position) place: vec4<f32>) -> @location(0) vec4<f32> {
         }
         case 4u, 5u: {
             let relight_filter = filter_at(pixel, false);
-            return vec4<f32>(to_display(relight_filter / (1.0 + relight_filter)), 1.0);
+            return vec4<f32>(encoded(relight_filter / (1.0 + relight_filter)), 1.0);
         }
         case 6u: {
             let whole = filter_at(pixel, false);
