@@ -51,20 +51,21 @@ def to_display(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
 def held(linear: AnyArray) -> AnyArray:
     """Light as the shoulder holds it back: `WHITE` becomes 1. Brighter light goes on with slope 1."""
     xp = linear.__array_namespace__()
-    t = (xp.clip(linear, SHOULDER, WHITE) - SHOULDER) / (1.0 - SHOULDER)
+    # `where`, so that the gradient at white is that of what is darker; `minimum` has the mean of both sides.
+    up_to_white = xp.where(linear <= WHITE, linear, WHITE)
+    t = (xp.maximum(up_to_white, SHOULDER) - SHOULDER) / (1.0 - SHOULDER)
     shoulder = SHOULDER + (1.0 - SHOULDER) * t * (1.0 + t / WIDTH**2) / (1.0 + t)
-    # By `where`: the gradient at white is that of what is darker, and not the mean of both sides.
-    return xp.where(linear <= SHOULDER, linear, xp.where(linear <= WHITE, shoulder, linear - WHITE + 1.0))
+    return xp.where(linear <= SHOULDER, linear, shoulder + (linear - up_to_white))
 
 
 def released(held_light: AnyArray) -> AnyArray:
     """Light that the shoulder has held back: the inverse of `held`, without cancellation near its start."""
     xp = held_light.__array_namespace__()
-    y = (xp.clip(held_light, SHOULDER, 1.0) - SHOULDER) / (1.0 - SHOULDER)
+    up_to_white = xp.where(held_light <= 1.0, held_light, 1.0)
+    y = (xp.maximum(up_to_white, SHOULDER) - SHOULDER) / (1.0 - SHOULDER)
     t = 2.0 * y / (1.0 - y + xp.sqrt((1.0 - y) ** 2 + 4.0 / WIDTH**2 * y))
     shoulder = SHOULDER + (1.0 - SHOULDER) * t
-    beyond = xp.where(held_light <= 1.0, shoulder, held_light - 1.0 + WHITE)
-    return xp.where(held_light <= SHOULDER, held_light, beyond)
+    return xp.where(held_light <= SHOULDER, held_light, shoulder + (held_light - up_to_white))
 
 
 def encoded(linear: AnyArray) -> AnyArray:

@@ -1,15 +1,19 @@
 """Programs by what they ask of a device, without one."""
 
 import re
+from pathlib import Path
 from typing import get_args
 
 import pytest
 
+import hyjax.device
 from hyjax.configuration import Configuration
 from hyjax.core.schedule import PRESETS, Schedule
 from hyjax.device.frame_program import SceneCounts, frame_program
 from hyjax.device.precision_check import precision_check
 from hyjax.device.program import Precision, Program
+from hyjax.light.color import SHOULDER, WHITE
+from hyjax.light.emission import LAMP_BRIGHT, LAMP_DARK, PANE_WHITE
 
 MOST_STORAGE_BUFFERS, MOST_WORKGROUP_BYTES, MOST_UNIFORM_BYTES, MOST_BINDING_BYTES = 8, 16384, 65536, 1 << 27
 """Default limits of WebGPU."""
@@ -42,6 +46,15 @@ def test_default_limits_are_kept(precision: Precision) -> None:
         for name, buffer in program.buffers.items():
             most = MOST_UNIFORM_BYTES if buffer.uniform else MOST_BINDING_BYTES
             assert buffer.bytes * buffer.groups.count(4) <= most, name
+
+
+def test_the_curve_of_the_shaders_is_ours() -> None:
+    text = Path(hyjax.device.__path__[0], "wgsl", "color.wgsl").read_text()
+    for name, value in (("SHOULDER", SHOULDER), ("WHITE", WHITE)):
+        assert f"const {name} = {value};" in text
+    text = Path(hyjax.device.__path__[0], "wgsl", "composite.wgsl").read_text()
+    for name, value in (("LAMP_DARK", LAMP_DARK), ("LAMP_BRIGHT", LAMP_BRIGHT), ("PANE_WHITE", PANE_WHITE)):
+        assert f"const {name} = {value};" in text
 
 
 def test_a_picture_takes_few_passes_and_little_traffic() -> None:

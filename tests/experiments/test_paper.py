@@ -22,6 +22,7 @@ from hyjax.data.builtin_room import RoomCapture
 from hyjax.data.capture import Capture
 from hyjax.data.registry import open_capture
 from hyjax.geometry.mesh import submesh
+from hyjax.light.color import encoded
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.setup import LightSetup
 from hyjax.util.errors import InputError
@@ -135,7 +136,7 @@ def test_scores_are_those_of_filters_made_by_hand(config: Config, rows: list[dic
         for method, gbuffer in (("bare mesh", view.rough), ("accurate surface", view.accurate)):
             own = filter_by_hand(gbuffer, BENCHMARKS[benchmark])
             relit = {"light": hyjax.to_display(hyjax.to_linear(display) * own)}
-            relit["display values"] = display * np.asarray(hyjax.to_display(own))
+            relit["display values"] = display * np.asarray(encoded(own))
             for group, picture in relit.items():
                 expected = -10 * np.log10(np.mean((np.asarray(picture) - display) ** 2))
                 assert row["scores"][benchmark][group][method]["all"]["psnr"] == pytest.approx(expected, abs=2e-3)

@@ -9,13 +9,12 @@ import pytest
 
 from experiments import dark_frames, readme_picture, real, real_bench, real_captures, real_fit
 from experiments.real_bench import UP, through_shades
-from experiments.real_fit import Target, checkerboard, chosen_lights, fit_strengths, smooth_picture
+from experiments.real_fit import Target, checkerboard, chosen_lights, fit_strengths, shown, slope, smooth_picture
 from experiments.real_methods import BEST, BLUR_4, FEW_UNKNOWNS, GAINS, METHODS, NEW, PHOTO, SMOOTH, SMOOTH_BEST
 from experiments.real_scores import ratio_scores
 from experiments.records import of_kind
 from hyjax.data import builtin_room
 from hyjax.data.builtin_room import load_room
-from hyjax.synthetic.tone_curve import encode_unclipped
 from hyjax.util.errors import InputError
 
 SHAPE = (64, 96)
@@ -26,28 +25,34 @@ def test_strengths_and_polynomials_come_back() -> None:
     columns = rng.uniform(0.05, 0.3, (*SHAPE, 3, 3))
     true = np.array([[0.5, 1.0, 0.2], [0.0, 0.3, 0.6], [1.0, 0.0, 0.4]])
     picture = np.einsum("hwkc,kc->hwc", columns, true)
-    target = Target(encode_unclipped(picture), checkerboard(SHAPE))
+    target = Target(shown(picture), checkerboard(SHAPE))
     np.testing.assert_allclose(fit_strengths(columns, target), true, atol=0.02)
     y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in SHAPE), indexing="ij")
     photo = columns[:, :, 0]
     wanted = photo * np.exp(0.3 * x - 0.5 * x * y)[..., None] * [1.0, 0.8, 0.6]
-    found = smooth_picture(photo, 2, Target(encode_unclipped(wanted), checkerboard(SHAPE)))
-    np.testing.assert_allclose(encode_unclipped(found), encode_unclipped(wanted), atol=0.01)
+    found = smooth_picture(photo, 2, Target(shown(wanted), checkerboard(SHAPE)))
+    np.testing.assert_allclose(shown(found), shown(wanted), atol=0.01)
     assert 0.4 < checkerboard(SHAPE).mean() < 0.6
+
+
+def test_the_slope_is_that_of_display_values() -> None:
+    light = np.concatenate([np.linspace(0.01, 0.69, 50), np.linspace(0.71, 1.49, 50), np.linspace(1.51, 4.0, 20)])
+    np.testing.assert_allclose(slope(light), (shown(light + 1e-6) - shown(light - 1e-6)) / 2e-6, rtol=1e-6)
+    assert slope(np.array([1.5])) == pytest.approx(slope(np.array([1.4999])), rel=1e-3), "burnt pixels weigh little"
 
 
 def test_the_lights_and_terms_that_help_are_chosen() -> None:
     rng = np.random.default_rng(0)
     columns = rng.uniform(0.05, 0.3, (*SHAPE, 6, 3))
     picture = np.einsum("hwkc,k->hwc", columns[:, :, [0, 2, 5]], [0.3, 1.0, 0.6])
-    target = Target(encode_unclipped(picture), checkerboard(SHAPE))
+    target = Target(shown(picture), checkerboard(SHAPE))
     assert chosen_lights(columns, range(1, 6), [0], target, 2) == [2, 5]
     y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in SHAPE), indexing="ij")
     photo = columns[:, :, 0]
     wanted = photo * np.exp(0.4 * x**3 - 0.5 * y)[..., None] * [1.0, 0.8, 0.6]
-    target = Target(encode_unclipped(wanted), checkerboard(SHAPE))
+    target = Target(shown(wanted), checkerboard(SHAPE))
     found = smooth_picture(photo, 3, target, 3)
-    np.testing.assert_allclose(encode_unclipped(found), encode_unclipped(wanted), atol=0.01)
+    np.testing.assert_allclose(shown(found), shown(wanted), atol=0.01)
 
 
 def test_a_shade_lets_light_up_and_down_alone() -> None:

@@ -50,6 +50,7 @@ def test_the_shoulder_is_reinhards() -> None:
     np.testing.assert_allclose(released(held(light)), light, rtol=1e-9)
     np.testing.assert_allclose(released(held(jnp.asarray(light, jnp.float32))), light, rtol=2e-6)
     np.testing.assert_allclose(held(WHITE + light), 1.0 + light)  # straight on beyond white
+    np.testing.assert_allclose(released(1.0 + light), WHITE + light)
     with jax.enable_x64(True):
         slope = jax.vmap(jax.grad(held))(jnp.asarray(light))
         np.testing.assert_allclose(slope[1:-1], (held(light[2:]) - held(light[:-2])) / (2 * light[1]), rtol=2e-3)
@@ -79,8 +80,26 @@ def test_powers_of_half_precision_are_rounded_once(dtype: type, exponent: float)
 def test_round_trip(values: list[float]) -> None:
     with jax.enable_x64(True):
         x = jnp.array(values)
-        np.testing.assert_allclose(to_linear(to_display(x)), x, atol=1e-8)
+        np.testing.assert_allclose(to_linear(to_display(WHITE * x)), WHITE * x, atol=1e-8)
         np.testing.assert_allclose(to_display(to_linear(x)), x, atol=2e-7)
+
+
+def test_half_precision_keeps_every_byte_and_what_is_not_finite_stays_so() -> None:
+    values = jnp.arange(256) / 255
+    for dtype in (jnp.float16, jnp.float32):
+        light = to_linear(values.astype(dtype))
+        assert light.dtype == dtype
+        np.testing.assert_array_equal(to_display_bytes(light), np.arange(256))
+    np.testing.assert_allclose(to_display(jnp.array([-jnp.inf, jnp.inf])), [0.0, 1.0], atol=1e-6)
+    assert np.isnan(to_display(jnp.array([jnp.nan]))).all() and np.isnan(to_linear(jnp.array([jnp.nan]))).all()
+
+
+def test_gradients_where_the_shoulder_begins_and_ends() -> None:
+    """One side's, not the mean of both."""
+    slope = jax.grad(held)
+    assert float(slope(SHOULDER)) == 1.0
+    assert float(slope(WHITE)) == pytest.approx(2 / (WIDTH * (1 + WIDTH)), rel=1e-4)
+    assert float(jax.grad(released)(1.0)) == pytest.approx(WIDTH * (1 + WIDTH) / 2, rel=1e-4)
 
 
 def test_monotone_without_a_jump_and_gradients_are_finite() -> None:
