@@ -7,8 +7,8 @@ Between them lie the curve of sRGB (IEC 61966-2-1) and a shoulder, since cameras
 curve alone, what a photo shows as white was hardly brighter than what it shows as nearly white: under weaker light
 white paper turns grey, and under stronger light orange turns lemon yellow. The shoulder is that of Reinhard et
 al., *Photographic tone reproduction for digital images* (SIGGRAPH 2002), equation 4, from `SHOULDER` on, where its
-slope is 1. Few cameras say what theirs is; this one stands for all. Its two numbers were chosen on the rooms that
-`experiments.truth` chooses on.
+slope is 1. Few cameras say what theirs is; this one stands for all. A stronger one would be nearer to many, but would draw
+JPEG's blocks and specks out of what is nearly white.
 """
 
 from typing import TypeVar
@@ -24,7 +24,7 @@ from hyjax.util.tracing import concrete
 
 # Luminance of linear Rec. 709 red, green and blue.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
-SHOULDER, WHITE = 0.7, 1.5
+SHOULDER, WHITE = 0.7, 1.2
 """Linear values: where the shoulder begins, and what is shown as white."""
 WIDTH = (WHITE - SHOULDER) / (1.0 - SHOULDER)
 """Width of the shoulder, in units of what is left above it on the display."""
@@ -37,14 +37,14 @@ BLACKBODY_KELVIN = (1667.0, 25000.0)
 @checked_arguments(display=["display"])
 @jax.jit
 def to_linear(display: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """Display-encoded values in [0, 1] → linear light in [0, `WHITE`], which is 1.5. Bytes are divided by 255."""
+    """Display-encoded values in [0, 1] → linear light in [0, `WHITE`], which is 1.2. Bytes are divided by 255."""
     return released(decoded(display))
 
 
 @checked_arguments
 @jax.jit
 def to_display(linear: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """Linear light → display-encoded values in [0, 1]; what is brighter than `WHITE`, 1.5, is clipped to it."""
+    """Linear light → display-encoded values in [0, 1]; what is brighter than `WHITE`, 1.2, is clipped to it."""
     return encoded(held(linear))
 
 

@@ -33,7 +33,7 @@ PANE_WHITE = 0.75
 a view would burn out with all that is in it."""
 SOURCE_RADIUS = 0.1
 """Distance from a source, in metres, within which a new light makes it shine."""
-LAMP_DARK, LAMP_BRIGHT = 0.75, 1.27
+LAMP_DARK, LAMP_BRIGHT = 0.75, 1.09
 """Linear values of the photo between which a pixel of a lamp begins to shine."""
 CORE_EXPONENT = 4
 """Power of the share by which a pixel of a lamp shines, for what is brighter than white."""

@@ -33,7 +33,7 @@ class Relit:
         visibility: share that the refined shadows leave of it, in [0, 1].
         relight_filter: refined filter with refined shadows, the factor of the frame.
         unrefined: the frame times the raw filter with its raw shadows, to compare with; linear.
-        image: the relit frame; linear: `hyjax.to_display` shows 1.5 as white.
+        image: the relit frame; linear: `hyjax.to_display` shows 1.2 as white.
     """
 
     shading: Float[Array, "h w 3"]

@@ -103,8 +103,8 @@ def display_unclipped(relight_filter: Float[Array, "*s"], frame: Float[Array, "*
     has a slope that leads back. Up to white this is `to_display`.
 
     >>> white = jnp.ones((1, 1, 3))
-    >>> [round(float(display_unclipped(x * white, white)[0, 0, 0]), 2) for x in (0.0, 1.0, 1.5, 3.0)]
-    [0.0, 0.94, 1.0, 1.49]
+    >>> [round(float(display_unclipped(x * white, white)[0, 0, 0]), 2) for x in (0.0, 1.0, 1.2, 3.0)]
+    [0.0, 0.96, 1.0, 1.57]
 
     Args:
         relight_filter: linear, ≥ 0.

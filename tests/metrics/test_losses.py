@@ -59,8 +59,8 @@ def rho(x: float) -> float:
 def encode(x: float) -> float:
     """sRGB's curve over the shoulder of Reinhard et al., which is left at white."""
     if x > 0.7:
-        t, w = (min(x, 1.5) - 0.7) / 0.3, 0.8 / 0.3
-        x = 0.7 + 0.3 * t * (1 + t / w**2) / (1 + t) + max(x - 1.5, 0.0)
+        t, w = (min(x, 1.2) - 0.7) / 0.3, 0.5 / 0.3
+        x = 0.7 + 0.3 * t * (1 + t / w**2) / (1 + t) + max(x - 1.2, 0.0)
     return 12.92 * x if x <= 0.0031308 else 1.055 * x ** (1 / 2.4) - 0.055
 
 

@@ -1,7 +1,7 @@
 // The canvas: a stage of the frame, drawn by wgsl/display.wgsl.
 export const STAGES = ["result", "photo", "normals", "depth", "raw filter", "refined filter", "visibility"];
 const MOST_LIGHTS = 32;
-const MOST_LIGHT = 4.5; // linear value that displays of high dynamic range show four times as bright as white
+const MOST_LIGHT = 4.2; // linear value that displays of high dynamic range show four times as bright as white
 
 export class Display {
   /**

@@ -1,6 +1,6 @@
 // The curve of sRGB and the shoulder of bright light: `hyjax.light.color`.
 const SHOULDER = 0.7;
-const WHITE = 1.5;
+const WHITE = 1.2;
 const WIDTH = (WHITE - SHOULDER) / (1.0 - SHOULDER);
 
 fn to_linear(display: vec3<f32>) -> vec3<f32> {

@@ -20,7 +20,7 @@ const PANE_UNLIT = 0.05;
 const PANE_LIT = 0.1;
 const SLACK = 0.12;
 const LAMP_DARK = 0.75;
-const LAMP_BRIGHT = 1.27;
+const LAMP_BRIGHT = 1.09;
 const CORE_EXPONENT = 4.0;
 const RIM_WIDTH = 640u;
 
