@@ -149,7 +149,7 @@ def test_lists_of_whole_numbers_are_no_display_picture() -> None:
     """Values from 0 to 255 may be meant, which bytes would say."""
     with pytest.raises(hyjax.InputError, match=r"^display: must be a float array"):
         hyjax.to_linear([[[255, 128, 0]]])  # type: ignore[arg-type]
-    assert np.array_equal(hyjax.to_linear([[[1, 0, 0]]]), [[[WHITE, 0.0, 0.0]]])  # type: ignore[arg-type]
+    assert np.array_equal(hyjax.to_linear([[[1, 0, 0]]]), np.float32([[[WHITE, 0.0, 0.0]]]))  # type: ignore[arg-type]
 
 
 def test_a_preset_by_name_and_a_single_light() -> None:
