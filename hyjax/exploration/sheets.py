@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -26,7 +27,7 @@ def stages_sheet(photo: Float[np.ndarray, "h w 3"], relit: Relit) -> Sheet:
     """Stages of a relit frame, display-encoded; `photo` is display-encoded, too."""
     filters = {"raw filter": relit.shading, "refined": relit.refined, "with shadows": relit.relight_filter}
     gain = _gain(relit.refined)
-    named: dict[str, Any] = {name: np.asarray(encoded(gain * each)) for name, each in filters.items()}
+    named: dict[str, Any] = {name: _filter(gain * each) for name, each in filters.items()}
     named = {"photo": photo, **named, "visibility": np.asarray(relit.visibility)}
     return _sheet(named | {"frame x raw filter": _display(relit.unrefined), "relit": _display(relit.image)})
 
@@ -34,7 +35,7 @@ def stages_sheet(photo: Float[np.ndarray, "h w 3"], relit: Relit) -> Sheet:
 def levels_sheet(levels: Sequence[tuple[str, Float[Array, "h w 3"]]]) -> Sheet:
     """Light after each level of a cascade, over the reference."""
     gain = _gain(levels[-1][1])
-    return _sheet({name: np.asarray(encoded(gain * light)) for name, light in levels})
+    return _sheet({name: _filter(gain * light) for name, light in levels})
 
 
 def compared_sheet(first: tuple[str, Any], second: tuple[str, Any]) -> Sheet:
@@ -52,6 +53,10 @@ def jpeg(display: Any) -> bytes:
 
 def _gain(light: Any) -> float:
     return BRIGHT_VALUE / max(float(np.quantile(np.asarray(light), BRIGHT_QUANTILE)), 1e-6)
+
+
+def _filter(ratio: Any) -> Float[np.ndarray, "h w 3"]:
+    return np.asarray(jax.jit(encoded)(ratio))
 
 
 def _display(linear: Any) -> Float[np.ndarray, "h w 3"]:

@@ -7,8 +7,8 @@ Between them lie the curve of sRGB (IEC 61966-2-1) and a shoulder, since cameras
 curve alone, what a photo shows as white was hardly brighter than what it shows as nearly white: under weaker light
 white paper turns grey, and under stronger light orange turns lemon yellow. The shoulder is that of Reinhard et
 al., *Photographic tone reproduction for digital images* (SIGGRAPH 2002), equation 4, from `SHOULDER` on, where its
-slope is 1. Few cameras say what theirs is; this one stands for all. A stronger one would be nearer to many, but
-would draw JPEG's blocks and specks out of what is nearly white.
+slope is 1. Few cameras say what theirs is; this one stands for all. A stronger one draws JPEG's blocks and
+specks out of what is nearly white.
 """
 
 from typing import TypeVar

@@ -47,7 +47,10 @@ def write_frame(
     shown = {}
     with clock("write"):
         for kind, picture in pictures.items():
-            shown[kind] = _shown(picture) if kind == "relit" else _shown_share(picture, mode, kind)
+            if kind == "visibility":
+                shown[kind] = np.asarray(picture)
+            else:
+                shown[kind] = _shown(picture) if kind == "relit" else _shown_filter(picture, mode)
             write_png(out / f"{name}.{kind}.png", shown[kind])
             if exr:
                 encoded_filter = mode == "paper" and kind in ("filter", "refined")
@@ -64,9 +67,9 @@ def sheet_row(frame: Frame, relit: Relit, mode: Mode) -> list[Float[np.ndarray, 
     return [
         frame.image,
         _shown(relit.image),
-        _shown_share(np.asarray(relit.shading) / np.float32(dim), mode),
-        _shown_share(np.asarray(relit.refined) / np.float32(dim), mode),
-        _shown_share(relit.visibility, mode, "visibility"),
+        _shown_filter(np.asarray(relit.shading) / np.float32(dim), mode),
+        _shown_filter(np.asarray(relit.refined) / np.float32(dim), mode),
+        np.asarray(relit.visibility),
         _shown(relit.unrefined),
     ]
 
@@ -75,7 +78,6 @@ def _shown(picture: Any) -> Float[np.ndarray, "h w 3"]:
     return np.asarray(run_kept(to_display, picture))
 
 
-def _shown_share(picture: Any, mode: Mode, kind: str = "filter") -> Float[np.ndarray, "h w 3"]:
-    """A filter, which is no light, or the visibility; the paper's are display values as they are."""
-    as_is = mode == "paper" or kind == "visibility"
-    return np.asarray(picture if as_is else run_kept(encoded, picture))
+def _shown_filter(picture: Any, mode: Mode) -> Float[np.ndarray, "h w 3"]:
+    """A filter, which is no light; the paper's is display values as it is."""
+    return np.asarray(picture if mode == "paper" else run_kept(encoded, picture))

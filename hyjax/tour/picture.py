@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float, Shaped, UInt8
 from hyjax.core.diffusion import conductance
 from hyjax.core.schedule import Schedule
 from hyjax.data.capture import Frame
-from hyjax.light.color import encoded, luminance, to_display, to_linear
+from hyjax.light.color import encoded, luminance, to_display_bytes, to_linear
 from hyjax.light.gbuffer import GBuffer
 from hyjax.light.relit import Relit
 from hyjax.light.shaded import Shaded
@@ -66,9 +66,9 @@ def shown_stage(
             return to_bytes(_over(result.unrefined, frame.image))
         if shown == "visibility":
             return to_bytes(np.asarray(result.visibility))
-        return to_bytes(np.asarray(encoded(result.relight_filter)))
+        return to_bytes(np.asarray(jax.jit(encoded)(result.relight_filter)))
     if shown == "relit":
-        return np.asarray(_encoded(result))
+        return np.asarray(to_display_bytes(result))
     if shown == "conductances":
         picture = _conductances(lit.features, schedule)
     elif shown == "holes":
@@ -120,8 +120,3 @@ def _conductances(guide: Float[Array, "h w f"], schedule: Schedule) -> Float[Arr
 @jax.jit
 def _holes(lit: LitFrame) -> Float[Array, "h w 3"]:
     return jnp.where(lit.view.gbuffer.hit[..., None], 0.6 * lit.view.display, jnp.array([1.0, 0.0, 0.7]))
-
-
-@jax.jit
-def _encoded(picture: Float[Array, "h w 3"]) -> UInt8[Array, "h w 3"]:
-    return jnp.round(jnp.clip(to_display(picture), 0.0, 1.0) * 255.0).astype(jnp.uint8)

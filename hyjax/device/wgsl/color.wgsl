@@ -8,19 +8,18 @@ fn to_linear(display: vec3<f32>) -> vec3<f32> {
     return released(select(power, display / 12.92, display <= vec3<f32>(0.04045)));
 }
 
-// sRGB's encoding alone, for filters.
-fn encoded(linear: vec3<f32>) -> vec3<f32> {
-    let power = 1.055 * pow(clamp(linear, vec3<f32>(0.0031308), vec3<f32>(1.0)), vec3<f32>(1.0 / 2.4)) - 0.055;
-    return select(power, max(linear, vec3<f32>(0.0)) * 12.92, linear <= vec3<f32>(0.0031308));
+fn to_display(linear: vec3<f32>) -> vec3<f32> {
+    return encoded(held(linear));
 }
 
-fn to_display(linear: vec3<f32>) -> vec3<f32> {
-    return beyond_white(min(linear, vec3<f32>(WHITE)));
+// sRGB's encoding alone, for filters.
+fn encoded(linear: vec3<f32>) -> vec3<f32> {
+    return unclipped(clamp(linear, vec3<f32>(0.0), vec3<f32>(1.0)));
 }
 
 // The same, which goes on beyond white.
-fn beyond_white(linear: vec3<f32>) -> vec3<f32> {
-    let power = 1.055 * pow(max(held(linear), vec3<f32>(0.0031308)), vec3<f32>(1.0 / 2.4)) - 0.055;
+fn unclipped(linear: vec3<f32>) -> vec3<f32> {
+    let power = 1.055 * pow(max(linear, vec3<f32>(0.0031308)), vec3<f32>(1.0 / 2.4)) - 0.055;
     return select(power, max(linear, vec3<f32>(0.0)) * 12.92, linear <= vec3<f32>(0.0031308));
 }
 

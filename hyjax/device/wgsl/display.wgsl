@@ -43,7 +43,7 @@ fn fragment(@builtin(position) place: vec4<f32>) -> @location(0) vec4<f32> {
             let left = filter_at(pixel, true);
             return vec4<f32>(select(vec3<f32>(1.0), left / max(whole, vec3<f32>(1e-12)), whole > vec3<f32>(1e-9)), 1.0);
         }
-        default: { return vec4<f32>(beyond_white(min(shown.stops * image[pixel].xyz, vec3<f32>(most_light))) + dither(place.xy), 1.0); }
+        default: { return vec4<f32>(unclipped(held(min(shown.stops * image[pixel].xyz, vec3<f32>(most_light)))) + dither(place.xy), 1.0); }
     }
 }
 
