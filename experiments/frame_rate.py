@@ -4,8 +4,9 @@
 
 A frame is what `hyjax relight` makes of it: G-buffer, shading and shadows of the set-up's lights, the photo's light
 divided out, bounces, both cascades, the picture. Frames are read and brought to size before; the capture's cameras
-come round again and again, and nothing of a frame is kept for the next. As many frames are at work at a time as
-there are cores. *CPU* is time of all cores together, which other work on the machine changes less than the rate.
+come round again and again, and nothing of a frame is kept for the next. Its programs are those that the command
+keeps. As many frames are at work at a time as there are cores. *CPU* is time of all cores together, which other
+work on the machine changes less than the rate.
 
 - *Rate*: at 512 x 512, by sampling (the part of its size that a frame is relit at), on the scan and finer meshes.
 - *Size*: 256² to 2048². Time a pixel at the largest size over that at the smallest should not be above 1.5.
@@ -50,6 +51,7 @@ from hyjax.scene.relighter import Relighter, refine
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings
 from hyjax.util.clock import StageClock, Stopwatch
+from hyjax.util.compiled_cache import keep_compiled
 from hyjax.util.cores import cores
 from hyjax.util.errors import InputError
 from hyjax.util.memory import keep_freed_memory
@@ -173,6 +175,7 @@ def memory_mib() -> float:
 def main(config: Config, start: Start) -> str | None:
     check(config)
     keep_freed_memory()
+    keep_compiled()  # as the command does
     scene = Scene.open(SceneSettings(config.capture), progress=True)
     results = start()
     results.add(

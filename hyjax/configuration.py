@@ -1,6 +1,7 @@
 """Configuration: all choices of how a frame is relit that cost time or quality, as one file."""
 
 import dataclasses
+import functools
 import json
 import logging
 import math
@@ -186,6 +187,10 @@ class Configuration:
         >>> own.scale, own.light.sampling, [level.factor for level in own.schedule.levels]
         (2, 1, [8, 4, 2])
         """
+        return self._sampled
+
+    @functools.cached_property
+    def _sampled(self) -> "Configuration":
         sampling = self.light.sampling
         if sampling == 1:
             return self

@@ -138,7 +138,7 @@ class Rasterizer:
         share_out(lambda part: draw(part.start), buffers, buffers)
         share_out(finish, height, BANDS * cores())
         face = faces[0].copy()  # what is kept of a picture keeps no more than itself in memory
-        return GBuffer(*(jax.device_put(part) for part in (position, normal, depth, hit, face, barycentric)))
+        return GBuffer(*jax.device_put((position, normal, depth, hit, face, barycentric)))
 
     def _scratch(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         count = len(self.vertices)

@@ -29,7 +29,14 @@ from jax.experimental import serialize_executable
 from hyjax.util.cache import remove_oldest, tell_unkept, touch
 from hyjax.util.errors import InputError
 from hyjax.util.files import atomic_write, remove, remove_stale
-from hyjax.util.quick_programs import QUICK_OPTIONS, QUICK_SUFFIX, are_quick, cascade_options, submit_once
+from hyjax.util.quick_programs import (
+    QUICK_OPTIONS,
+    QUICK_SUFFIX,
+    are_quick,
+    cascade_options,
+    submit_once,
+    wide_options,
+)
 
 P = ParamSpec("P")
 T = TypeVar("T", covariant=True)
@@ -41,7 +48,7 @@ LONG = ("light.photo_light.interreflection",)
 """Functions that are optimised at once: without it, they run longer than that takes."""
 MOST_BYTES = 300_000_000
 """Most bytes of kept programs, some four million a size of picture; those that were used longest ago go first."""
-OPTION = re.compile("XLA_|JAX_(?!.*_CACHE(?:_|$))")
+OPTION = re.compile("XLA_|(?:PJRT_)?NPROC$|JAX_(?!.*_CACHE(?:_|$))")
 """Pattern of variables that may change a program; those of JAX's own cache change none."""
 LEAST_SECONDS = "jax_persistent_cache_min_compile_time_secs"
 MOST_AREAS = 0.6
@@ -102,11 +109,8 @@ class KeptFunction(Generic[P, T]):
         leaves, tree = jax.tree.flatten((args, arrays))
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             return self._jitted, kwargs
-        key = (
-            tuple((name, kwargs[name]) for name in self._static if name in kwargs),
-            tree,
-            *((np.shape(leaf), jax.numpy.result_type(leaf)) for leaf in leaves),
-        )
+        static = tuple([(name, kwargs[name]) for name in self._static if name in kwargs])
+        key = (static, tree, *map(_signature, leaves))
         if key not in self._ready:
             with self._making.setdefault(key, threading.Lock()):  # threads that ask for the same wait for it
                 if key not in self._ready:
@@ -141,7 +145,7 @@ class KeptFunction(Generic[P, T]):
         return _compiled(lowered, file, self._options())
 
     def _options(self) -> dict[str, bool | int]:
-        return cascade_options() if self._name in CASCADES else {}
+        return cascade_options() if self._name in CASCADES else wide_options()
 
     def _optimise(self, key: Any, file: Path, lower: Callable[[], jax.stages.Lowered]) -> None:
         """Compile a quick program once more, in its place."""
@@ -222,6 +226,13 @@ def _compiled(lowered: jax.stages.Lowered, file: Path, options: dict[str, Any]) 
     except Exception as error:  # of JAX, for what cannot be serialised: costs time only
         _log.info("%s: not kept (%s)", file, error)
     return compiled
+
+
+def _signature(leaf: Any) -> tuple[tuple[int, ...], Any]:
+    """Shape and type of an argument: an array of JAX has what others are first converted to."""
+    if isinstance(leaf, jax.Array):
+        return leaf.shape, leaf.dtype
+    return np.shape(leaf), jax.numpy.result_type(leaf)
 
 
 def _shape_of(leaf: Any) -> jax.ShapeDtypeStruct:

@@ -12,6 +12,9 @@ CASCADE_OPTIONS: dict[str, bool | int] = {}
 more slowly with them."""
 if jax.__version_info__ < (0, 11):  # later ones have no other emitters
     CASCADE_OPTIONS["xla_cpu_use_fusion_emitters"] = False
+WIDE_OPTIONS: dict[str, bool | int] = {"xla_cpu_prefer_vector_width": 512}
+"""XLA's options of all other programs on processors: as wide vectors as there are. The usual half is for processors
+that slow down by wider ones; colours, above all, are decoded sooner by the whole."""
 QUICK_OPTIONS: dict[str, bool | int] = {
     **CASCADE_OPTIONS,
     "xla_backend_optimization_level": 0,
@@ -48,6 +51,11 @@ def quick_programs(wanted: bool = True) -> Iterator[None]:
 def cascade_options() -> dict[str, bool | int]:
     """XLA's options of optimised cascades here."""
     return CASCADE_OPTIONS if jax.default_backend() == "cpu" else {}
+
+
+def wide_options() -> dict[str, bool | int]:
+    """XLA's options of other optimised programs here."""
+    return WIDE_OPTIONS if jax.default_backend() == "cpu" else {}
 
 
 def are_quick() -> bool:

@@ -117,6 +117,14 @@ def test_a_program_is_the_function(folder: Path) -> None:
     assert len(list(folder.iterdir())) == 3
 
 
+def test_arrays_and_numbers_of_one_type_share_a_program(folder: Path) -> None:
+    half = KeptFunction(lambda x: x / 2)
+    half.__name__ = half.__qualname__ = "half"
+    for given in (3.0, np.float64(3.0), np.float32(3.0), jnp.float32(3.0), np.array(3.0)):
+        assert float(half(given)) == 1.5
+    assert len(half._ready) == 1
+
+
 def test_trees_and_their_fixed_parts_tell_programs_apart(folder: Path) -> None:
     first = KeptFunction(lambda tree: jax.tree.leaves(tree)[0] + len(tree))
     assert int(first({"a": jnp.int32(1)})) == 2 and int(first({"a": jnp.int32(1), "b": jnp.int32(5)})) == 3
@@ -139,6 +147,13 @@ def test_programs_of_another_version_are_made_anew_with_one_line(
     (line,) = (record.getMessage() for record in caplog.records)
     assert line == f"{folder}: programs in it are of another version, source or machine, and are made anew"
     assert len(list(folder.iterdir())) == 4
+
+
+@pytest.mark.parametrize("name", ["XLA_FLAGS", "NPROC", "PJRT_NPROC", "JAX_ENABLE_X64"])
+def test_what_changes_programs_is_part_of_their_key(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = programs._surroundings.__wrapped__()
+    monkeypatch.setenv(name, "3")
+    assert programs._surroundings.__wrapped__() != here
 
 
 def test_a_program_made_ready_is_the_one_that_runs(folder: Path) -> None:
