@@ -160,9 +160,11 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "light kind": (lights(kind="pint"), ("given.yaml", "'pint'", "'point'")),
     "luminous flux": (lights(luminous_flux=-5), ("given.yaml", "'luminous_flux'", "-5")),
     "light key": (lights(postion=1), ("given.yaml", "'postion'", "'position'")),
+    "lights of another ending": (option("--lights", ".txt", "lights: []"), ("given.txt", ".yaml or .json")),
     "lights unknown": (plain("--lights", "noon-windows"), ("'noon-windows'", "noon-window")),
     "frames past the end": (plain("--frames", "0:3"), ("past the end", "0 to 1")),
     "frames misspelt": (plain("--frames", "five"), ("'five'", "0:300:30")),
+    "frames from and to": (plain("--frames", "0-1"), ("'0-1'", "written 0:2")),
     "no photo sources": (plain("--photo-sources", "none.yaml"), ("none.yaml", "no such file")),
     "size superscript": (plain("--size", "64²"), ("64²",)),
     "size gigantic": (plain("--size", "99999999"), ("99999999",)),
@@ -205,6 +207,7 @@ def test_bad_input_is_one_line(
     options = apply(capture) + (["--mesh", true_mesh] if name in NEEDS_MESH else [])
     run = relight if name in IN_A_PROCESS else relight_here
     refuses(tmp_path / "out", run("--out", tmp_path / "out", *options), *parts)
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_capture_without_its_option(monkeypatch: pytest.MonkeyPatch) -> None:

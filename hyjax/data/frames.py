@@ -1,6 +1,7 @@
 """Choosing frames of a capture and bringing them to a size."""
 
 import dataclasses
+import re
 from collections.abc import Sequence
 from typing import TypeVar
 
@@ -110,7 +111,9 @@ def frame_numbers(text: str) -> list[list[int | None]]:
             numbers = []
         if not 1 <= len(numbers) <= 3 or numbers == [None] or numbers[2:] == [0]:
             forms = "all, 7, 0:300:30 (start:end:step, without the end) or a list of these"
-            raise InputError(f"frames: {text!r} is not of the form {forms}")
+            ends = re.fullmatch(r"\s*(\d+)\s*-\s*(\d+)\s*", part)
+            hint = f"; {part.strip()!r} is written {ends[1]}:{int(ends[2]) + 1}" if ends else ""
+            raise InputError(f"frames: {text!r} is not of the form {forms}{hint}")
         found.append(numbers)
     return found
 

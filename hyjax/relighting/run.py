@@ -39,7 +39,7 @@ from hyjax.util.contact_sheet import fitted_row, write_contact_sheet
 from hyjax.util.cores import cores
 from hyjax.util.environment import environment, peak_memory_mib
 from hyjax.util.errors import InputError
-from hyjax.util.files import make_writable, remove, write_text
+from hyjax.util.files import output_folder, remove, write_text
 from hyjax.util.prefetch import DEPTH, background_writer
 from hyjax.util.progress import CommandBar, command_bar
 from hyjax.util.quick_programs import optimise_programs, quick_programs
@@ -133,7 +133,7 @@ def relight_run(
         capture = None
         if scene is None and settings.scene.capture is not None:
             capture = open_capture()  # one that cannot be used makes no folder
-        make_writable(out)
+        stack.enter_context(output_folder(out))
         stack.enter_context(claimed(out))
         if scene is None:
             if capture is None:

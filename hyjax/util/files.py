@@ -241,6 +241,19 @@ def make_writable(out: Path) -> None:
         raise InputError(f"{out}: cannot write there ({reason}); choose another --out") from None
 
 
+@contextlib.contextmanager
+def output_folder(out: Path) -> Iterator[None]:
+    """Output folder that can be written, see `make_writable`; one made here that stays empty is removed again."""
+    made = not Path(out).exists()
+    make_writable(out)
+    try:
+        yield
+    finally:
+        if made:
+            with contextlib.suppress(OSError):  # it is not empty
+                Path(out).rmdir()
+
+
 def digest(parts: Iterable[str]) -> str:
     """A short hash of some texts."""
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
