@@ -30,7 +30,7 @@ from hyjax.device.scene_arrays import scene_arrays
 from hyjax.export.page_sun import sun_table
 from hyjax.export.single_page import check_single_file, is_single, new_single_page
 from hyjax.light.setup import LightSetup
-from hyjax.relighting.pictures import HEADINGS, sheet_row
+from hyjax.relighting.pictures import COLUMNS, sheet_row
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.util.contact_sheet import write_contact_sheet
@@ -159,15 +159,14 @@ def _write_frame(frame: Frame, folder: Path, lossless: bool) -> dict[str, Any]:
 
 def _write_sheet(relighter: Relighter, frames: Sequence[int], folder: Path) -> None:
     """Write the pictures for browsers that cannot run the page."""
-    rows = []
-    shown = [column for column, heading in enumerate(HEADINGS) if heading in ("frame", "visibility", "relit")]
+    rows, shown = [], ("frame", "relit", "visibility")
     for index in spread(list(frames), SHEET_ROWS):
         frame = relighter.place.frame(index)
-        pictures = sheet_row(frame, relighter.relit(frame), "linear")
+        pictures = dict(zip(COLUMNS, sheet_row(frame, relighter.relit(frame), "linear"), strict=True))
         rows.append((frame.name, [pictures[column] for column in shown]))
         if len(rows) == 1:
-            _write_thumbnail(pictures[HEADINGS.index("relit")], folder)
-    write_contact_sheet(folder / "contact_sheet.png", rows, [HEADINGS[column] for column in shown])
+            _write_thumbnail(pictures["relit"], folder)
+    write_contact_sheet(folder / "contact_sheet.png", rows, [COLUMNS[column] for column in shown])
 
 
 def _write_thumbnail(picture: Float[np.ndarray, "h w 3"], folder: Path) -> None:

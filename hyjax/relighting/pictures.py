@@ -15,7 +15,15 @@ from hyjax.util.clock import StageClock
 from hyjax.util.images import write_exr, write_png
 from hyjax.util.programs import run_kept
 
-HEADINGS = ("frame", "relit", "raw filter", "refined filter", "visibility", "raw filter x frame")
+COLUMNS = {
+    "frame": "frame",
+    "relit": "relit = frame x refined filter x visibility",
+    "raw": "raw filter: the scan, lit without shadows",
+    "refined": "refined filter: after the cascade",
+    "visibility": "visibility: what shadows leave of it",
+    "unrefined": "frame x raw filter, with shadows",
+}
+"""Headings of the contact sheet's columns, by their names."""
 
 
 def written_pictures(
@@ -60,7 +68,7 @@ def write_frame(
 
 
 def sheet_row(frame: Frame, relit: Relit, mode: Mode) -> list[Float[np.ndarray, "h w 3"]]:
-    """Pictures of a frame under `HEADINGS`."""
+    """Pictures of a frame under `COLUMNS`."""
     paper = mode == "paper"
     # Filters brighter than white are dimmed, both alike, until their structure shows.
     dim = 1.0 if paper else max(1.0, float(np.percentile(np.asarray(relit.refined)[::4, ::4], 98)))

@@ -24,7 +24,7 @@ from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import DarkShare, dark_share
 from hyjax.relighting.ahead import begin_programs, compile_ahead, is_short
 from hyjax.relighting.frames import RelitFrame, cycles, relit_frames, relit_on_device
-from hyjax.relighting.pictures import HEADINGS, sheet_row, write_frame, written_pictures
+from hyjax.relighting.pictures import COLUMNS, sheet_row, write_frame, written_pictures
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.exposure import warn_of_far
 from hyjax.scene.fusion_settings import FusionSettings
@@ -203,7 +203,7 @@ def relight_run(
             given = isinstance(asked, str | Path) and is_light_file(str(asked))
             file = str(asked) if given else "lights.json"
             tell_of_exposure(summary, setup, file, dark=str(asked) not in DARK_SETUPS)
-        write_contact_sheet(out / "contact_sheet.png", summary.rows, HEADINGS)
+        write_contact_sheet(out / "contact_sheet.png", summary.rows, [*COLUMNS.values()])
         write_lights(out / "lights.json", setup)
         run = {
             "frames": summary.written,
