@@ -105,13 +105,8 @@ class Configuration:
     @classmethod
     def paper(cls) -> "Configuration":
         """The paper's own form: display values, holes black, the photo's light left in."""
-        return cls(
-            name="paper",
-            schedule=Schedule.preset("paper-80", kappa=PAPER_KAPPA),
-            shadow_schedule=Schedule.preset("shadow"),
-            mode="paper",
-            light=LightOptions(sampling=1, photo_light="kept"),
-        )
+        schedules = Schedule.preset("paper-80", kappa=PAPER_KAPPA), Schedule.preset("shadow")
+        return cls("paper", *schedules, mode="paper", light=LightOptions(sampling=1, photo_light="kept"))
 
     @classmethod
     @checked_arguments
