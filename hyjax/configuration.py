@@ -182,13 +182,11 @@ class Configuration:
         >>> own.scale, own.light.sampling, [level.factor for level in own.schedule.levels]
         (2, 1, [8, 4, 2])
         """
-        return self._sampled
+        return self if self.light.sampling == 1 else self._sampled
 
     @functools.cached_property
     def _sampled(self) -> "Configuration":
         sampling = self.light.sampling
-        if sampling == 1:
-            return self
         cascades: dict[str, Any] = {part: sampled_schedule(getattr(self, part), sampling) for part in CASCADES}
         light = self.light.replace(sampling=1)
         return dataclasses.replace(self, scale=sampling * self.scale, light=light, **cascades)

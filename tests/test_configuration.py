@@ -1,7 +1,9 @@
 """Configurations as files: what is written is read back, and what cannot be used is refused in one line."""
 
+import copy
 import dataclasses
 import json
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -221,3 +223,13 @@ def test_a_changed_configuration_has_another_name() -> None:
     assert changed.name == "custom" and changed.measured is None
     assert fast.with_choices({"bounces": fast.light.bounces}) is fast
     assert dataclasses.replace(fast, name="mine").with_choices({"bounce_gain": 3.0}).name == "mine"
+
+
+def test_a_sampled_configuration_is_made_once_and_follows_its_own() -> None:
+    own = Configuration()
+    assert own.sampled() is own.sampled() and own == Configuration()
+    for other in (copy.deepcopy(own), pickle.loads(pickle.dumps(own))):
+        assert other == own and other.sampled() == own.sampled()
+    assert dataclasses.replace(own, scale=2).sampled().scale == 2 * own.sampled().scale
+    plain = own.with_choices({"sampling": 1})
+    assert plain.sampled() is plain

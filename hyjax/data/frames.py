@@ -111,8 +111,9 @@ def frame_numbers(text: str) -> list[list[int | None]]:
             numbers = []
         if not 1 <= len(numbers) <= 3 or numbers == [None] or numbers[2:] == [0]:
             forms = "all, 7, 0:300:30 (start:end:step, without the end) or a list of these"
-            ends = re.fullmatch(r"\s*(\d+)\s*-\s*(\d+)\s*", part)
-            hint = f"; {part.strip()!r} is written {ends[1]}:{int(ends[2]) + 1}" if ends else ""
+            ends = re.fullmatch("([0-9]{1,9})-([0-9]{1,9})", part.strip())
+            written = f"; {ends[0]} is written {ends[1]}:{int(ends[2]) + 1}" if ends else ""
+            hint = written if ends and int(ends[1]) <= int(ends[2]) else ""
             raise InputError(f"frames: {text!r} is not of the form {forms}{hint}")
         found.append(numbers)
     return found

@@ -30,7 +30,7 @@ from hyjax.device.scene_arrays import scene_arrays
 from hyjax.export.page_sun import sun_table
 from hyjax.export.single_page import check_single_file, is_single, new_single_page
 from hyjax.light.setup import LightSetup
-from hyjax.relighting.pictures import COLUMNS, sheet_row
+from hyjax.relighting.pictures import sheet_row
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.util.contact_sheet import write_contact_sheet
@@ -162,11 +162,11 @@ def _write_sheet(relighter: Relighter, frames: Sequence[int], folder: Path) -> N
     rows, shown = [], ("frame", "relit", "visibility")
     for index in spread(list(frames), SHEET_ROWS):
         frame = relighter.place.frame(index)
-        pictures = dict(zip(COLUMNS, sheet_row(frame, relighter.relit(frame), "linear"), strict=True))
+        pictures = sheet_row(frame, relighter.relit(frame), "linear")
         rows.append((frame.name, [pictures[column] for column in shown]))
         if len(rows) == 1:
             _write_thumbnail(pictures["relit"], folder)
-    write_contact_sheet(folder / "contact_sheet.png", rows, [COLUMNS[column] for column in shown])
+    write_contact_sheet(folder / "contact_sheet.png", rows, shown)
 
 
 def _write_thumbnail(picture: Float[np.ndarray, "h w 3"], folder: Path) -> None:

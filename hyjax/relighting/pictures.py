@@ -20,7 +20,7 @@ COLUMNS = {
     "relit": "relit = frame x refined filter x visibility",
     "raw": "raw filter: the scan, lit without shadows",
     "refined": "refined filter: after the cascade",
-    "visibility": "visibility: what shadows leave of it",
+    "visibility": "visibility: share that shadows leave",
     "unrefined": "frame x raw filter, with shadows",
 }
 """Headings of the contact sheet's columns, by their names."""
@@ -67,19 +67,20 @@ def write_frame(
     return shown
 
 
-def sheet_row(frame: Frame, relit: Relit, mode: Mode) -> list[Float[np.ndarray, "h w 3"]]:
-    """Pictures of a frame under `COLUMNS`."""
+def sheet_row(frame: Frame, relit: Relit, mode: Mode) -> dict[str, Float[np.ndarray, "h w 3"]]:
+    """Pictures of a frame by the names in `COLUMNS`, in their order."""
     paper = mode == "paper"
     # Filters brighter than white are dimmed, both alike, until their structure shows.
     dim = 1.0 if paper else max(1.0, float(np.percentile(np.asarray(relit.refined)[::4, ::4], 98)))
-    return [
-        frame.image,
-        _shown(relit.image),
-        _shown_filter(np.asarray(relit.shading) / np.float32(dim), mode),
-        _shown_filter(np.asarray(relit.refined) / np.float32(dim), mode),
-        np.asarray(relit.visibility),
-        _shown(relit.unrefined),
-    ]
+    pictures = {
+        "frame": frame.image,
+        "relit": _shown(relit.image),
+        "raw": _shown_filter(np.asarray(relit.shading) / np.float32(dim), mode),
+        "refined": _shown_filter(np.asarray(relit.refined) / np.float32(dim), mode),
+        "visibility": np.asarray(relit.visibility),
+        "unrefined": _shown(relit.unrefined),
+    }
+    return {name: pictures[name] for name in COLUMNS}
 
 
 def _shown(picture: Any) -> Float[np.ndarray, "h w 3"]:

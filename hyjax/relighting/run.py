@@ -33,7 +33,6 @@ from hyjax.scene.light_setups import DARK_SETUPS, EXPOSURES
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.util.arguments import checked_arguments
-from hyjax.util.claims import claimed
 from hyjax.util.clock import StageClock, Stopwatch
 from hyjax.util.contact_sheet import fitted_row, write_contact_sheet
 from hyjax.util.cores import cores
@@ -134,7 +133,6 @@ def relight_run(
         if scene is None and settings.scene.capture is not None:
             capture = open_capture()  # one that cannot be used makes no folder
         stack.enter_context(output_folder(out))
-        stack.enter_context(claimed(out))
         if scene is None:
             if capture is None:
                 capture = open_capture()
@@ -328,7 +326,7 @@ def _write_frames(
             (later if summary.written else now)(functools.partial(write, frame.name, frame.image, pictures))
             if len(summary.written) % sheet_every == 0:
                 row = sheet_row(frame, relit or done.compared(), settings.mode)
-                summary.rows.append((frame.name, fitted_row(row)))
+                summary.rows.append((frame.name, fitted_row([*row.values()])))
                 del row
             done.forget()
             del relit, pictures

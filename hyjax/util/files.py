@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NoReturn
 
-from hyjax.util.claims import try_lock
+from hyjax.util.claims import claimed, try_lock
 from hyjax.util.errors import InputError
 from hyjax.util.reading import disk_error
 
@@ -225,6 +225,18 @@ def append(descriptor: int, content: bytes) -> None:
         raise
 
 
+def is_there(path: str | Path) -> bool:
+    """Whether a file or folder is there; a name that none can have is no error.
+
+    >>> is_there("x" * 10_000)
+    False
+    """
+    try:
+        return Path(path).exists()
+    except (OSError, ValueError):
+        return False
+
+
 def make_writable(out: Path) -> None:
     """Make the output folder, or raise `InputError` if files cannot be written there.
 
@@ -237,21 +249,29 @@ def make_writable(out: Path) -> None:
             pass
         remove_stale(out)
     except OSError as error:
-        reason = "it is a file, not a folder" if out.is_file() else error.strerror
+        reason = "it is a file, not a folder" if is_there(out) and Path(out).is_file() else error.strerror
         raise InputError(f"{out}: cannot write there ({reason}); choose another --out") from None
 
 
 @contextlib.contextmanager
 def output_folder(out: Path) -> Iterator[None]:
-    """Output folder that can be written, see `make_writable`; one made here that stays empty is removed again."""
-    made = not Path(out).exists()
-    make_writable(out)
-    try:
+    """Output folder for this process alone, see `make_writable` and `claimed`.
+
+    Folders that are made for it and stay empty, as where all is refused, are removed again.
+    """
+    made = [folder for folder in (Path(out), *Path(out).parents) if not is_there(folder)]
+    with contextlib.ExitStack() as stack:
+        stack.callback(_remove_empty, made)
+        make_writable(out)
+        stack.enter_context(claimed(out))
+        stack.callback(_remove_empty, made)  # while nobody else may claim it
         yield
-    finally:
-        if made:
-            with contextlib.suppress(OSError):  # it is not empty
-                Path(out).rmdir()
+
+
+def _remove_empty(folders: Iterable[Path]) -> None:
+    with contextlib.suppress(OSError):  # of the first that is not empty, or not there
+        for folder in folders:
+            folder.rmdir()
 
 
 def digest(parts: Iterable[str]) -> str:

@@ -229,7 +229,7 @@ def _compiled(lowered: jax.stages.Lowered, file: Path, options: dict[str, Any]) 
 
 
 def _signature(leaf: Any) -> tuple[tuple[int, ...], Any]:
-    """Shape and type of an argument: an array of JAX has what others are first converted to."""
+    """Shape and type of an argument, weak or not: an array of JAX has what others are first converted to."""
     if isinstance(leaf, jax.Array):
         return leaf.shape, leaf.dtype
     return np.shape(leaf), jax.numpy.result_type(leaf)

@@ -1,6 +1,7 @@
 """Programs that are wanted at once: compiled without optimisation, and optimised on other threads later."""
 
 import contextlib
+import os
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -13,8 +14,8 @@ more slowly with them."""
 if jax.__version_info__ < (0, 11):  # later ones have no other emitters
     CASCADE_OPTIONS["xla_cpu_use_fusion_emitters"] = False
 WIDE_OPTIONS: dict[str, bool | int] = {"xla_cpu_prefer_vector_width": 512}
-"""XLA's options of all other programs on processors: as wide vectors as there are. The usual half is for processors
-that slow down by wider ones; colours, above all, are decoded sooner by the whole."""
+"""XLA's options of all other optimised programs on processors: vectors of up to 512 bits, where there are any. XLA
+keeps to 256, for processors that slow down with wider ones; here colours, above all, are decoded sooner."""
 QUICK_OPTIONS: dict[str, bool | int] = {
     **CASCADE_OPTIONS,
     "xla_backend_optimization_level": 0,
@@ -54,8 +55,9 @@ def cascade_options() -> dict[str, bool | int]:
 
 
 def wide_options() -> dict[str, bool | int]:
-    """XLA's options of other optimised programs here."""
-    return WIDE_OPTIONS if jax.default_backend() == "cpu" else {}
+    """XLA's options of other optimised programs here; none where the user has set them."""
+    own = "xla_cpu_prefer_vector_width" in os.environ.get("XLA_FLAGS", "")
+    return WIDE_OPTIONS if jax.default_backend() == "cpu" and not own else {}
 
 
 def are_quick() -> bool:

@@ -10,7 +10,7 @@ import pytest
 
 from hyjax.util import files
 from hyjax.util.errors import InputError
-from hyjax.util.files import atomic_write, new_folder, remove_stale, write_text
+from hyjax.util.files import atomic_write, new_folder, output_folder, remove_stale, write_text
 
 WRITER = """
 import sys
@@ -22,6 +22,41 @@ with write(Path(sys.argv[2])) as temporary:
     print(temporary, flush=True)
     sys.stdin.read()
 """
+
+
+def test_an_output_folder_that_stays_empty_goes_again_with_those_made_for_it(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), output_folder(tmp_path / "a" / "b"):
+        assert (tmp_path / "a" / "b").is_dir()
+        raise ZeroDivisionError
+    assert not (tmp_path / "a").exists() and tmp_path.is_dir()
+
+
+@pytest.mark.parametrize("before", ["empty", "with a file"])
+def test_an_output_folder_that_was_there_stays(before: str, tmp_path: Path) -> None:
+    if before == "with a file":
+        (tmp_path / "mine.txt").write_text("mine")
+    with output_folder(tmp_path):
+        pass
+    assert tmp_path.is_dir() and len(list(tmp_path.iterdir())) == (before == "with a file")
+
+
+def test_an_output_folder_with_a_file_stays(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), output_folder(tmp_path / "a" / "b"):
+        (tmp_path / "a" / "b" / "one.png").write_text("")
+        raise ZeroDivisionError
+    assert (tmp_path / "a" / "b" / "one.png").is_file()
+
+
+def test_an_output_folder_that_cannot_be_written_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(**_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files.tempfile, "TemporaryFile", full)
+    with pytest.raises(InputError, match="cannot write there"), output_folder(tmp_path / "a"):
+        pass
+    assert not (tmp_path / "a").exists()
 
 
 @pytest.mark.parametrize("kind", ["file", "folder"])

@@ -152,8 +152,21 @@ def test_programs_of_another_version_are_made_anew_with_one_line(
 @pytest.mark.parametrize("name", ["XLA_FLAGS", "NPROC", "PJRT_NPROC", "JAX_ENABLE_X64"])
 def test_what_changes_programs_is_part_of_their_key(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     here = programs._surroundings.__wrapped__()
-    monkeypatch.setenv(name, "3")
+    monkeypatch.setenv(name, f"{os.environ.get(name, '')}3")
     assert programs._surroundings.__wrapped__() != here
+
+
+def test_only_optimised_programs_but_cascades_use_wide_vectors(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    cascade, other = KeptFunction(scaled), KeptFunction(scaled)
+    cascade._name = programs.CASCADES[0]
+    wide = quick_programs.WIDE_OPTIONS
+    assert other._options() == wide and not wide.keys() & {**cascade._options(), **quick_programs.QUICK_OPTIONS}
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_prefer_vector_width=256")
+    assert other._options() == {}
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.delenv("XLA_FLAGS")
+    assert other._options() == cascade._options() == {}
 
 
 def test_a_program_made_ready_is_the_one_that_runs(folder: Path) -> None:
