@@ -27,7 +27,7 @@ from hyjax.util.claims import claimed
 from hyjax.util.errors import InputError
 from hyjax.util.extras import optional_module
 from hyjax.util.interrupts import defer_interrupts, exit_now
-from hyjax.util.terminal import end_output, open_closed_streams, quiet_libraries, usage_error
+from hyjax.util.terminal import check_given, end_output, open_closed_streams, quiet_libraries, usage_error
 
 WITH_CAPTURE = ("relight", "tune", "tour")
 """Commands that take a capture as an option."""
@@ -89,6 +89,7 @@ def parse() -> Any:
         raise InputError(f"{arguments[1]}: is no option; a capture is given as --capture {arguments[1]}")
     if arguments[:1] == ["info"] and any(argument.split("=")[0] == "--capture" for argument in arguments):
         raise InputError("--capture: is no option here; the capture is given by itself: hyjax info PATH")
+    check_given(arguments)
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):

@@ -212,6 +212,14 @@ def test_bad_input_is_one_line(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("given", [("--out", ""), ("--out=",), ("--configuration", " "), ("--capture", "")])
+def test_an_option_that_is_given_nothing(given: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by a variable of the shell that is not set."""
+    monkeypatch.setattr(sys, "argv", ["hyjax", "relight", *given])
+    with pytest.raises(InputError, match=f"{given[0].rstrip('=')}: is given an empty text"):
+        parse()
+
+
 def test_a_capture_without_its_option(monkeypatch: pytest.MonkeyPatch) -> None:
     """As `hyjax info` takes it."""
     for command in ("relight", "tour"):

@@ -7,6 +7,7 @@ walk, whose places `hyjax.scene.light_places` finds by ray casting.
 import dataclasses
 import itertools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -114,7 +115,7 @@ SETUPS: dict[str, Callable[[LightAnchors], LightSetup]] = {
 def check_setup_name(name: str) -> None:
     """Raise `InputError` unless `name` is one of `SETUPS`."""
     if name not in SETUPS:
-        if is_there(name):
+        if is_there(name) and Path(name).is_file():
             raise InputError(f"lights: {name}: a file of lights must end in .yaml or .json")
         hint = did_you_mean(name, SETUPS)
         raise InputError(

@@ -141,7 +141,7 @@ class ScenePhotoLight:
         lit = f"{', '.join(names)} ({origin[sources.origin]})" if names else "no window and no lamp was found"
         brightness, hue = (f"{100 * share:.0f} %" for share in (estimate.exponent, estimate.hue_exponent))
         assumed = "" if names else "it counts as coming from all around, and "
-        shares = f"{brightness} of its changes in brightness and {hue} in colour are taken out before relighting"
+        shares = f"{brightness} of its estimated changes in brightness and {hue} in colour are taken out"
         fate = assumed + shares if estimate.exponent else f"it stays in the pictures: {estimate.reason}"
         remedy = f"; if {'other ' * bool(names)}windows or lamps lit the photos, name them with --photo-sources"
         return f"light of the photos: {lit}; {fate}{remedy if sources.origin != 'file' else ''}"

@@ -10,7 +10,7 @@ import sys
 import warnings
 from typing import Any
 
-from hyjax.util.errors import did_you_mean, one_line, shown
+from hyjax.util.errors import InputError, did_you_mean, one_line, shown
 
 FILE_SECONDS = 5.0
 """Least seconds between the states of a progress bar that goes to a file."""
@@ -126,3 +126,11 @@ def usage_error(box: str, command: str = "") -> str:
             names = text.partition(":")[2].replace(",", " ").split()
             return f"{shown(command)}: no such command{did_you_mean(command, names)}; there are {', '.join(names)}"
     return f"{line}; see hyjax {command}{' ' * bool(command)}--help"
+
+
+def check_given(arguments: list[str]) -> None:
+    """Raise `InputError` for an option that is given an empty text, as by an unset variable of the shell."""
+    for before, argument in zip(["hyjax", *arguments], arguments):
+        option, equals, value = argument.partition("=") if argument.startswith("--") else (before, "=", argument)
+        if equals and not value.strip():
+            raise InputError(f"{option}: is given an empty text; give a value, or leave it out")
