@@ -79,7 +79,6 @@ def parse() -> Any:
         | Annotated[ConvertSettings, tyro.conf.subcommand("convert")]
         | Annotated[InfoSettings, tyro.conf.subcommand("info")]
     )
-
     arguments = _renamed(sys.argv[1:])
     if not arguments:
         raise InputError("give a command, as in hyjax relight; see hyjax --help")
