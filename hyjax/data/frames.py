@@ -112,9 +112,9 @@ def frame_numbers(text: str) -> list[list[int | None]]:
         if not 1 <= len(numbers) <= 3 or numbers == [None] or numbers[2:] == [0]:
             forms = "all, 7, 0:300:30 (start:end:step, without the end) or a list of these"
             ends = re.fullmatch("([0-9]{1,9})-([0-9]{1,9})", part.strip())
-            written = f"; {ends[0]} is written {ends[1]}:{int(ends[2]) + 1}" if ends else ""
-            hint = written if ends and int(ends[1]) <= int(ends[2]) else ""
-            raise InputError(f"frames: {text!r} is not of the form {forms}{hint}")
+            if ends and int(ends[1]) <= int(ends[2]):
+                forms += f"; {ends[0]} is written {ends[1]}:{int(ends[2]) + 1}"
+            raise InputError(f"frames: {text!r} is not of the form {forms}")
         found.append(numbers)
     return found
 

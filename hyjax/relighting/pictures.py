@@ -68,11 +68,11 @@ def write_frame(
 
 
 def sheet_row(frame: Frame, relit: Relit, mode: Mode) -> dict[str, Float[np.ndarray, "h w 3"]]:
-    """Pictures of a frame by the names in `COLUMNS`, in their order."""
+    """Pictures of a frame by the names in `COLUMNS`."""
     paper = mode == "paper"
     # Filters brighter than white are dimmed, both alike, until their structure shows.
     dim = 1.0 if paper else max(1.0, float(np.percentile(np.asarray(relit.refined)[::4, ::4], 98)))
-    pictures = {
+    return {
         "frame": frame.image,
         "relit": _shown(relit.image),
         "raw": _shown_filter(np.asarray(relit.shading) / np.float32(dim), mode),
@@ -80,7 +80,6 @@ def sheet_row(frame: Frame, relit: Relit, mode: Mode) -> dict[str, Float[np.ndar
         "visibility": np.asarray(relit.visibility),
         "unrefined": _shown(relit.unrefined),
     }
-    return {name: pictures[name] for name in COLUMNS}
 
 
 def _shown(picture: Any) -> Float[np.ndarray, "h w 3"]:

@@ -326,7 +326,7 @@ def _write_frames(
             (later if summary.written else now)(functools.partial(write, frame.name, frame.image, pictures))
             if len(summary.written) % sheet_every == 0:
                 row = sheet_row(frame, relit or done.compared(), settings.mode)
-                summary.rows.append((frame.name, fitted_row([*row.values()])))
+                summary.rows.append((frame.name, fitted_row([row[name] for name in COLUMNS])))
                 del row
             done.forget()
             del relit, pictures

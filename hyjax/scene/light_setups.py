@@ -7,7 +7,6 @@ walk, whose places `hyjax.scene.light_places` finds by ray casting.
 import dataclasses
 import itertools
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -24,7 +23,7 @@ from hyjax.scene.exposure import LARGEST_FILTER, Exposure, bounded, exposed, war
 from hyjax.scene.light_places import LightAnchors, Vector, WindowPlace
 from hyjax.scene.light_response import assumed_response, measured_response
 from hyjax.util.errors import InputError, did_you_mean
-from hyjax.util.files import is_there
+from hyjax.util.files import is_file
 from hyjax.util.programs import run_kept
 from hyjax.util.vectors import unit
 
@@ -115,7 +114,7 @@ SETUPS: dict[str, Callable[[LightAnchors], LightSetup]] = {
 def check_setup_name(name: str) -> None:
     """Raise `InputError` unless `name` is one of `SETUPS`."""
     if name not in SETUPS:
-        if is_there(name) and Path(name).is_file():
+        if is_file(name):
             raise InputError(f"lights: {name}: a file of lights must end in .yaml or .json")
         hint = did_you_mean(name, SETUPS)
         raise InputError(

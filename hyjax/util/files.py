@@ -225,32 +225,38 @@ def append(descriptor: int, content: bytes) -> None:
         raise
 
 
-def is_there(path: str | Path) -> bool:
-    """Whether a file or folder is there; a name that none can have is no error.
+def is_file(path: str | Path) -> bool:
+    """Whether there is such a file; a name that none can have is no error.
 
-    >>> is_there("x" * 10_000)
+    >>> is_file("x" * 10_000)
     False
     """
     try:
-        return Path(path).exists()
+        return Path(path).is_file()
     except (OSError, ValueError):
         return False
 
 
-def make_writable(out: Path) -> None:
+def make_writable(out: Path) -> list[Path]:
     """Make the output folder, or raise `InputError` if files cannot be written there.
 
     What killed processes left in it under temporary names is removed.
+
+    Returns:
+        Folders that were made for it, the innermost first.
     """
-    out = Path(out)
+    made, out = list[Path](), Path(out)
     try:
+        made = [folder for folder in (out, *out.parents) if not folder.exists()]
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=out):
             pass
         remove_stale(out)
     except OSError as error:
-        reason = "it is a file, not a folder" if is_there(out) and Path(out).is_file() else error.strerror
+        _remove_empty(made)
+        reason = "it is a file, not a folder" if is_file(out) else error.strerror
         raise InputError(f"{out}: cannot write there ({reason}); choose another --out") from None
+    return made
 
 
 @contextlib.contextmanager
@@ -259,13 +265,12 @@ def output_folder(out: Path) -> Iterator[None]:
 
     Folders that are made for it and stay empty, as where all is refused, are removed again.
     """
-    made = [folder for folder in (Path(out), *Path(out).parents) if not is_there(folder)]
-    with contextlib.ExitStack() as stack:
-        stack.callback(_remove_empty, made)
-        make_writable(out)
-        stack.enter_context(claimed(out))
-        stack.callback(_remove_empty, made)  # while nobody else may claim it
-        yield
+    made = make_writable(out)
+    with claimed(out):
+        try:
+            yield
+        finally:
+            _remove_empty(made)
 
 
 def _remove_empty(folders: Iterable[Path]) -> None:

@@ -130,7 +130,7 @@ def usage_error(box: str, command: str = "") -> str:
 
 def check_given(arguments: list[str]) -> None:
     """Raise `InputError` for an option that is given an empty text, as by an unset variable of the shell."""
-    for before, argument in zip(["hyjax", *arguments], arguments):
+    for before, argument in itertools.pairwise(["hyjax", *arguments]):
         option, equals, value = argument.partition("=") if argument.startswith("--") else (before, "=", argument)
         if equals and not value.strip():
             raise InputError(f"{option}: is given an empty text; give a value, or leave it out")
