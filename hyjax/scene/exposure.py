@@ -16,8 +16,9 @@ from hyjax.scene.seen_surface import SeenSurface
 
 LARGEST_FILTER, LARGEST_FILTER_IN_SUN = 1.6, 3.5
 """Largest filter on all but a twentieth of the surface, without the sun and with it."""
-MOST_BURNT = 0.1
-"""Largest share of the surface in a picture that burns out, but for what the photo itself has that bright."""
+MOST_BURNT, MOST_BURNT_UNSEEN = 0.1, 0.03
+"""Largest share of the surface in a picture that burns out, but for what the photo itself has that bright; the one
+under lights that no picture shows."""
 MOST_OVER_SHARE = 2.0
 """Largest brightness of a picture, beside the sun, over that which the median one should have."""
 DIMMINGS = 8
@@ -116,16 +117,18 @@ def bounded(setup: LightSetup, lux: Float[np.ndarray, "n l"], seen: SeenSurface,
     if 0 < median < LEAST_KEPT * reference:
         unburnt = float(np.quantile(filtered, 0.95)) / LARGEST_FILTER
         reference = min(reference, max(median / KEPT_WHERE_DARK, unburnt))
-    least = max(median / MOST_KEPT, _least_unburnt(strongest, seen, response))
+    least = max(median / MOST_KEPT, _least_unburnt(strongest, seen, response, MOST_BURNT_UNSEEN))
     return LightSetup(setup.lights, max(reference, least))
 
 
-def _least_unburnt(light: Float[np.ndarray, "n"], seen: SeenSurface, response: Response) -> float:
+def _least_unburnt(
+    light: Float[np.ndarray, "n"], seen: SeenSurface, response: Response, most_burnt: float = MOST_BURNT
+) -> float:
     """Least reference by which nothing burns out beside the sun: white walls take less light than dark floors."""
     if response.photo_value is None:
         return 0.0
-    photo = seen.of_cameras(response.photo_value, 1.0 - MOST_BURNT)
-    relit = seen.of_cameras(response.photo_value * light / response.photo_light, 1.0 - MOST_BURNT)
+    photo = seen.of_cameras(response.photo_value, 1.0 - most_burnt)
+    relit = seen.of_cameras(response.photo_value * light / response.photo_light, 1.0 - most_burnt)
     return float((relit / np.maximum(photo, WHITE)).max())
 
 

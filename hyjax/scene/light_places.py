@@ -105,9 +105,9 @@ class LightAnchors:
 
     Attributes:
         focus: median point of the visible surface.
-        points: two places in free space, above the focus and nearer to the viewer.
-        lamps: the room's own lamps, and those of the stops that have none; where there is a single stop without
-            any, `points`, moved clear of surfaces.
+        points: two places in free space, clear of surfaces, above the focus and nearer to the viewer.
+        lamps: the room's own lamps, and those of the stops that have none; `points` where there is a single stop
+            without any.
         windows: the room's own windows, and those of the stops that none of these reaches.
         made_up: places of the lamps and windows that are not the room's own.
         open_sky: whether light from outside comes from all around: no window is known, no wall for one was found,
@@ -140,7 +140,7 @@ def survey(
     # Two places for the whole capture, by few cameras: those of the paper's benchmarks.
     few, few_eyes = SeenSurface.of(caster, cameras)
     focus, eye = np.median(few.points, axis=0), few_eyes.mean(axis=0)
-    points = _points(caster, focus, eye, up)
+    points = [_cleared(caster, place, _nearest(few_eyes, eye), up) for place in _points(caster, focus, eye, up)]
     stops = _stops(caster, seen, eyes, up)
     names = sorted(given, key=lambda name: (len(name), name))  # window_2 before window_10
     lamps = [np.asarray(given[name]["position"], float) for name in names if name.startswith("lamp")]
@@ -154,7 +154,7 @@ def survey(
         chosen = []
     windows += [_made_up_window(caster, seen, stop, up) for stop in chosen]
     if not lamps:
-        lamps = [_cleared(caster, place, _nearest(few_eyes, eye), up) for place in points]
+        lamps = points
     made_up = {"lamp": lamps[own_lamps:], "window": [window.center for window in windows[own_windows:]]}
     bare = all(window.in_free_space for window in windows) and seen.under_open_sky(up) >= LEAST_OPEN
     # A room whose ceiling was not scanned, in the middle of others, has nothing above and no outer wall.
