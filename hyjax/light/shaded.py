@@ -87,6 +87,18 @@ class Shaded:
         return cls(illuminance, visibility, colors, known, setup.reference_lux, ambient)
 
 
+def with_dark_lights(shaded: Shaded, *, count: int) -> Shaded:
+    """Shaded surface with black lights after its own, which change no picture: programs of more lights take it."""
+
+    def padded(channels: Float[Array, "*n"], axis: int) -> Float[Array, "*n"]:
+        return jnp.pad(channels, [(0, count if k == axis else 0) for k in range(channels.ndim)])
+
+    illuminance, visibility = padded(shaded.illuminance, 2), padded(shaded.visibility, 2)
+    return dataclasses.replace(
+        shaded, illuminance=illuminance, visibility=visibility, colors=padded(shaded.colors, 0)
+    )
+
+
 @jax.jit
 def _complete(
     hit: Bool[Array, "h w"],

@@ -26,13 +26,40 @@ from hyjax.scene.scene import Scene
 from hyjax.scene.settings import Occluders
 from hyjax.util.clock import StageClock
 from hyjax.util.errors import InputError
-from hyjax.util.programs import keeps_programs, make_ready
+from hyjax.util.programs import keeps_programs, kept_function, make_ready
+from hyjax.util.quick_programs import are_quick, submit
 
 THREADS = 2
 """Number of threads that compile."""
 MOST_QUICK_STEPS = 8.0
 """Most steps at full size, over both cascades, that are run by programs without optimisation: more take longer than
 optimising does."""
+MOST_DARK_LIGHTS = 3
+"""Most dark lights that are added where the cascades of the lights alone are not kept."""
+
+
+@dataclasses.dataclass(frozen=True)
+class DarkLights:
+    """Dark lights that frames are refined with, see `Relighter`, until there are cascades without them.
+
+    Attributes:
+        count: their number.
+        cascades: the cascades without them, with arguments of their shapes.
+    """
+
+    count: int = 0
+    cascades: tuple[tuple[Any, ...], ...] = ()
+
+    def drop_later(self, relighter: Relighter) -> None:
+        """Optimise the cascades on another thread, and refine by them from then on."""
+
+        def drop() -> None:
+            for function, *arrays in self.cascades:
+                kept_function(function).optimise(*arrays)
+            relighter.dark_lights = 0
+
+        if self.count:
+            submit(drop)
 
 
 class EvenlyLitPlace:
@@ -68,18 +95,22 @@ def begin_programs(
     guide: FrameGuide,
     *,
     video: bool,
-) -> None:
+    exact: bool = False,
+) -> DarkLights:
     """Begin to read or compile the largest programs of a frame on other threads, where programs are kept.
 
     Whoever runs them waits for them. They are known by the shapes of their arguments alone; those of a network's
     guide, whose features are not counted here, and of the paper's mode are left to the first frame.
+
+    Returns the dark lights to begin with: some where the cascades of the lights alone are not kept, and those of a
+    few more are, which need not be compiled first; none where it must be `exact`.
     """
     if configuration.mode != "linear" or guide.name != "rgb" or setup.existing or not keeps_programs():
-        return
+        return DarkLights()
     try:
         size = scene.size or scene.capture.camera(chosen[0]).intrinsics.shape
     except InputError:  # of a damaged frame, told in its turn
-        return
+        return DarkLights()
     sampled, direct = configuration.sampled(), tuple(range(len(setup.lights)))
     height, width = level_shape(size, sampled.scale if video else sampled.scale_of(size))
 
@@ -91,16 +122,26 @@ def begin_programs(
         light = configured_light(EvenlyLitPlace(scene).surface_light(setup), configuration)
         direct, photo_light = direct_channels(setup.lights, light.bounced is not None), array(height, width, 3)
         bounced = None if light.bounced is None else photo_light
-    lights, picture = array(height, width, len(direct)), array(height, width, 3)
-    colors, known, reference, ambient = array(len(direct), 3), array(height, width, 1), array(), array(3)
-    shaded = Shaded(lights, lights, colors, known, reference, ambient, bounced, photo_light)
+    picture, known, reference, ambient = array(height, width, 3), array(height, width, 1), array(), array(3)
     numbers, hit, face = (array(height, width, dtype=kind) for kind in (np.float32, bool, np.int32))
     seen = GBuffer(picture, picture, numbers, hit, face, picture)
-    cascades = cascade_calls(shaded, picture, sampled.schedule, sampled.shadow_schedule)
+
+    def cascades(dark: int) -> tuple[tuple[Any, ...], ...]:
+        count = len(direct) + dark
+        lights, colors = array(height, width, count), array(count, 3)
+        shaded = Shaded(lights, lights, colors, known, reference, ambient, bounced, photo_light)
+        return cascade_calls(shaded, picture, sampled.schedule, sampled.shadow_schedule)
+
+    def are_kept(dark: int) -> bool:
+        return all(kept_function(function).is_kept(*arrays) for function, *arrays in cascades(dark))
+
+    counts = range(0 if exact or video or not are_quick() else MOST_DARK_LIGHTS + 1)
+    dark = next(filter(are_kept, counts), 0)
     pool = ThreadPoolExecutor(THREADS, thread_name_prefix="programs")
-    for call in (*cascades, (shade_each, seen, tuple(setup.lights[k] for k in direct))):
+    for call in (*cascades(dark), (shade_each, seen, tuple(setup.lights[k] for k in direct))):
         pool.submit(make_ready, *call)
     pool.shutdown(wait=False)
+    return DarkLights(dark, cascades(0))
 
 
 def compile_ahead(
@@ -116,7 +157,7 @@ def compile_ahead(
 
     What the estimate of the photo's light says of the set-up must change strengths alone.
     """
-    begin_programs(scene, chosen, setup, configuration, guide, video=settings.video)
+    begin_programs(scene, chosen, setup, configuration, guide, video=settings.video, exact=True)
     relighter = Relighter(
         EvenlyLitPlace(scene),
         setup,

@@ -93,9 +93,18 @@ def cycles(
 
 
 def relit_frames(
-    scene: Scene, chosen: Sequence[int], relighter: Relighter, clock: StageClock, *, once: bool
+    scene: Scene,
+    chosen: Sequence[int],
+    relighter: Relighter,
+    clock: StageClock,
+    *,
+    once: bool,
+    after_first: Callable[[], None] = lambda: None,
 ) -> Generator[RelitFrame]:
-    """Relit frames in order, on each device in turns, unless frames must follow each other (`once`)."""
+    """Relit frames in order, on each device in turns, unless frames must follow each other (`once`).
+
+    `after_first` is called before the second.
+    """
     devices = jax.local_devices()[: 1 if once else None]
     # Small stages run on one core each, so that frames share the cores of a processor best.
     several = not once and devices[0].platform == "cpu"
@@ -125,6 +134,8 @@ def relit_frames(
     alone = several and bool(first) and 2 * first[0][0].image[..., 0].size > MOST_PIXELS_AT_ONCE
     if first:
         yield relight_frame(first.pop())
+    if len(chosen) > 1:
+        after_first()
     at_once = max(len(devices), min(cores(), MOST_AT_ONCE) if several and not alone else 1)
     with contextlib.closing(prefetch(cast, remaining, 1 if alone else DEPTH)) as casts:
         cast_ahead = filter(None, casts)

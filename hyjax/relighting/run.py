@@ -22,7 +22,7 @@ from hyjax.guide.choose import FrameGuide, configured_guide
 from hyjax.light.kinds import Light, kind_name
 from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import DarkShare, dark_share
-from hyjax.relighting.ahead import begin_programs, compile_ahead, is_short
+from hyjax.relighting.ahead import DarkLights, begin_programs, compile_ahead, is_short
 from hyjax.relighting.frames import RelitFrame, cycles, relit_frames, relit_on_device
 from hyjax.relighting.pictures import COLUMNS, sheet_row, write_frame, written_pictures
 from hyjax.relighting.settings import RelightSettings
@@ -166,8 +166,9 @@ def relight_run(
         if settings.renderer == "webgpu":
             frames = relit_on_device(scene, chosen, setup, settings, configuration, guide, clock, device)
         else:
+            dark = DarkLights()
             if settings.renderer == "shadow_map" and not begun:
-                begin_programs(scene, chosen, setup, configuration, guide, video=settings.video)
+                dark = begin_programs(scene, chosen, setup, configuration, guide, video=settings.video)
             relighter = Relighter(
                 scene,
                 setup,
@@ -179,9 +180,17 @@ def relight_run(
                 shader=cycles(scene, setup, settings, clock, stack) if settings.renderer == "blender" else None,
                 clock=clock,
             )
+            relighter.dark_lights = dark.count
             # Blender, and what frames leave to the next, there is once.
             once = settings.video or settings.renderer == "blender"
-            frames = relit_frames(scene, chosen, relighter, clock, once=once)
+            frames = relit_frames(
+                scene,
+                chosen,
+                relighter,
+                clock,
+                once=once,
+                after_first=functools.partial(dark.drop_later, relighter),
+            )
         summary = _write_frames(frames, len(chosen), settings, clock, bar)
         if not summary.written:
             if not summary.skipped:

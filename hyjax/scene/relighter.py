@@ -26,7 +26,7 @@ from hyjax.light.light_edges import Weights
 from hyjax.light.photo_light import SurfaceLight, direct_channels
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
-from hyjax.light.shaded import Shaded, ambient_filter
+from hyjax.light.shaded import Shaded, ambient_filter, with_dark_lights
 from hyjax.light.shadow_map import ShadowMap
 from hyjax.light.view import View
 from hyjax.pipeline import TemporalFilter, relight_stages
@@ -102,7 +102,7 @@ class Relighter:
 
     Shadow maps and the light on the surface are made once, and again when the surface has changed.
 
-    `setup` are its lights, `guide` makes its guides.
+    `setup` are its lights, `guide` makes its guides; frames are refined with a number of `dark_lights` beside them.
 
     Args:
         place: a `Scene`, a `LiveScene`, or another `Place`.
@@ -154,7 +154,7 @@ class Relighter:
         self._whole = whole or video or shader is not None  # refined light is carried on at full size
         self._carried = CarriedGuide(options.guide.every) if video and options.guide.every > 1 else None
         self._device: jax.Device | None = None
-        self._lock = threading.Lock()
+        self.dark_lights, self._lock = 0, threading.Lock()
         self._made: tuple[int | None, LightSetup, Maps, SurfaceLight | None] = (None, self.setup, None, None)
         if place.revision is not None:
             self._light()
@@ -249,11 +249,11 @@ class Relighter:
         make = functools.partial(view_features, self.guide, view, self.configuration.light.sampling)
         features = make() if self._carried is None else self._carried.features(view, make)
         edges = configured_edges(self.configuration.light, self._light()[-1]) if self._divides else None
+        shaded = run_kept(with_dark_lights, shaded, count=self.dark_lights) if self.dark_lights else shaded
         yield "guide", LitFrame(view, shaded, features, self._on_device(edges))
 
     def _view(self, frame: Frame, gbuffer: GBuffer) -> View:
-        scale = self.scale(frame.camera)
-        if scale == 1:
+        if (scale := self.scale(frame.camera)) == 1:
             return self._on_device(view_of(frame, gbuffer))
         full, camera = jax.device_put(frame.image), scaled(frame.camera, scale)
         return self._on_device(camera_view(run_kept(downsample, full, factor=scale), gbuffer, camera, full, scale))

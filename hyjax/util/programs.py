@@ -105,12 +105,9 @@ class KeptFunction(Generic[P, T]):
 
     def _made(self, args: Any, kwargs: dict[str, Any]) -> tuple[Callable[..., T], dict[str, Any]]:
         """Program for arguments, and the named ones that it takes."""
-        arrays = {name: value for name, value in kwargs.items() if name not in self._static}
-        leaves, tree = jax.tree.flatten((args, arrays))
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        key, arrays = self._key(args, kwargs)
+        if key is None:
             return self._jitted, kwargs
-        static = tuple([(name, kwargs[name]) for name in self._static if name in kwargs])
-        key = (static, tree, *map(_signature, leaves))
         if key not in self._ready:
             with self._making.setdefault(key, threading.Lock()):  # threads that ask for the same wait for it
                 if key not in self._ready:
@@ -118,14 +115,40 @@ class KeptFunction(Generic[P, T]):
         submit_once(self._to_optimise, key)
         return self._ready[key], arrays
 
-    def _program(self, key: tuple[Any, ...], args: Any, kwargs: Any) -> Callable[..., T]:
+    def optimise(self, *args: Any) -> None:
+        """Compile the optimised program for arguments of these shapes, where programs are kept."""
+        key, _ = self._key(args, {})
+        if key is not None and (file := self._file(key)) is not None:
+            self._optimise(key, file, lambda: _lowered(self._function, self._name, args, {}))
+
+    def _key(self, args: Any, kwargs: dict[str, Any]) -> tuple[tuple[Any, ...] | None, dict[str, Any]]:
+        """Key of the program for arguments, none where they are traced, and the named ones that it takes."""
+        arrays = {name: value for name, value in kwargs.items() if name not in self._static}
+        leaves, tree = jax.tree.flatten((args, arrays))
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return None, arrays
+        static = tuple([(name, kwargs[name]) for name in self._static if name in kwargs])
+        return (static, tree, *map(_signature, leaves)), arrays
+
+    def is_kept(self, *args: Any) -> bool:
+        """Whether the optimised program for arguments of these shapes is kept."""
+        key, _ = self._key(args, {})
+        file = None if key is None else self._file(key)
+        return file is not None and file.is_file()
+
+    def _file(self, key: tuple[Any, ...]) -> Path | None:
         static, tree, *shapes = key
-        function = functools.partial(self._function, **dict(static))
         if _folder is None or len(jax.local_devices()) > 1 or not _is_known(tree):
-            return functools.partial(self._jitted, **dict(static))
+            return None
         signature = repr((static, str(tree), [(shape, str(dtype)) for shape, dtype in shapes]))
-        here = f"{self._name}-{_surroundings()}"
-        file = _folder / f"{here}-{hashlib.sha256(signature.encode()).hexdigest()[:24]}.program"
+        digest = hashlib.sha256(signature.encode()).hexdigest()[:24]
+        return _folder / f"{self._name}-{_surroundings()}-{digest}.program"
+
+    def _program(self, key: tuple[Any, ...], args: Any, kwargs: Any) -> Callable[..., T]:
+        static, tree, *_ = key
+        function, file = functools.partial(self._function, **dict(static)), self._file(key)
+        if file is None:
+            return functools.partial(self._jitted, **dict(static))
         quick_file = file.with_suffix(QUICK_SUFFIX)
         if (program := _read_kept(file, tree)) is not None:
             return program
@@ -137,7 +160,7 @@ class KeptFunction(Generic[P, T]):
             )
             return program
         if not (file.is_file() or quick_file.is_file()):
-            _tell_of_others(_folder, self._name, here)
+            _tell_of_others(file, self._name)
         lowered = _lowered(function, self._name, args, kwargs)
         if quick:
             self._to_optimise[key] = functools.partial(self._optimise, key, file, lambda: lowered)
@@ -185,16 +208,17 @@ def run_kept(function: Callable[..., Any], *arrays: Any, **static: Any) -> Any:
     """
     if _folder is None:
         return function(*arrays, **static)
-    return _kept(function, static)(*arrays, **static)
+    return kept_function(function, static)(*arrays, **static)
 
 
 def make_ready(function: Callable[..., Any], *arrays: Any, **static: Any) -> None:
     """Read or compile a function's kept program, if any are kept, without running it. Arguments: see `run_kept`."""
     if _folder is not None:
-        _kept(function, static).make_ready(*arrays, **static)
+        kept_function(function, static).make_ready(*arrays, **static)
 
 
-def _kept(function: Callable[..., Any], static: Iterable[str]) -> KeptFunction[..., Any]:
+def kept_function(function: Callable[..., Any], static: Iterable[str] = ()) -> KeptFunction[..., Any]:
+    """The function whose programs `run_kept` runs, by its pure one and the names of its static arguments."""
     key = function, *sorted(static)
     with _lock:
         if key not in _functions:
@@ -296,11 +320,12 @@ def _is_known(tree: Any) -> bool:
     return known and all(map(_is_known, tree.children()))
 
 
-def _tell_of_others(folder: Path, name: str, here: str) -> None:
-    """Report once that the folder has a function's programs of another machine only."""
+def _tell_of_others(file: Path, name: str) -> None:
+    """Report once that the folder of a program's file has such of another machine only."""
     global _told
-    kept = [file.name for file in folder.glob(f"{glob.escape(name)}-*.program")]
-    if not _told and kept and not any(each.startswith(f"{here}-") for each in kept):
+    folder, here = file.parent, f"{name}-{_surroundings()}-"
+    kept = [each.name for each in folder.glob(f"{glob.escape(name)}-*.program")]
+    if not _told and kept and not any(each.startswith(here) for each in kept):
         _told = True
         _log.warning("%s: programs in it are of another version, source or machine, and are made anew", folder)
 

@@ -73,6 +73,13 @@ def optimise_programs() -> None:
             _optimiser = ThreadPoolExecutor(THREADS, thread_name_prefix="optimised programs")
 
 
+def submit(task: Callable[[], None]) -> None:
+    """Submit a task to the threads that optimise, if programs are being optimised."""
+    with contextlib.suppress(RuntimeError):  # the pool has just been shut down
+        if _optimiser is not None:
+            _optimiser.submit(task)
+
+
 def submit_once(tasks: dict[object, Callable[[], None]], key: object) -> None:
     """Submit a program's optimisation, if programs are being optimised; cancelled, it comes back into `tasks`."""
     pool = _optimiser

@@ -1,6 +1,7 @@
 """Relighter: the command, Python's lines and a scene's parts make one picture."""
 
 import dataclasses
+import functools
 import json
 import time
 from pathlib import Path
@@ -23,6 +24,7 @@ from hyjax.relighting.run import relight_capture
 from hyjax.relighting.settings import RelightSettings
 from hyjax.util import programs
 from hyjax.util.images import read_image
+from hyjax.util.quick_programs import optimise_programs, quick_programs
 
 OWN = {
     "scale": 2,
@@ -135,6 +137,50 @@ def test_programs_that_are_begun_are_those_that_run(
     while len(begun) < 3 and time.monotonic() < deadline:
         time.sleep(0.01)
     assert all(call in begun for call in run) and len(begun) == 3
+
+
+@pytest.mark.slow
+def test_a_first_frame_is_refined_by_programs_of_more_lights(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where its own are not kept, and without a change of the picture."""
+    scene = hyjax.Scene.open(hyjax.SceneSettings(capture=capture, size="160x120"))
+    lamps = [hyjax.PointLight(np.array([1.5 + k, 2.5, 2.0]), 600.0, np.array([1.0, 0.6, 0.3])) for k in range(3)]
+    configuration, begin = Configuration(), functools.partial(ahead.begin_programs, scene, [0])
+    settings = configuration, configured_guide(configuration.guide)
+    monkeypatch.setattr(programs, "_folder", tmp_path)
+    monkeypatch.setattr(ahead, "make_ready", lambda *call: None)
+    few, own = hyjax.LightSetup.of(lamps[:1]), configuration.sampled()
+
+    def keep_cascades(setup: hyjax.LightSetup) -> None:
+        lit = hyjax.Relighter(scene, setup, configuration).lit(0)
+        for call in cascade_calls(lit.shaded, lit.features, own.schedule, own.shadow_schedule):
+            programs.make_ready(*call)
+
+    with quick_programs():
+        assert begin(few, *settings, video=False).count == 0, "nothing is kept"
+    keep_cascades(hyjax.LightSetup.of(lamps))
+    assert begin(few, *settings, video=False).count == 0, "all programs are optimised"
+    with quick_programs():
+        dark = begin(few, *settings, video=False)
+        assert dark.count == 2
+        assert begin(few, *settings, video=True).count == begin(few, *settings, video=False, exact=True).count == 0
+    monkeypatch.setattr(programs, "_folder", None)
+    relighter = hyjax.Relighter(scene, few, configuration)
+    plain = relighter.relit(0)
+    relighter.dark_lights = 2
+    assert relighter.lit(0).shaded.illuminance.shape[-1] == 3
+    for with_dark, without in zip(jax.tree.leaves(relighter.relit(0)), jax.tree.leaves(plain), strict=True):
+        np.testing.assert_allclose(with_dark, without, atol=2e-6)
+    monkeypatch.setattr(programs, "_folder", tmp_path)
+    with quick_programs():
+        optimise_programs()
+        dark.drop_later(relighter)
+        deadline = time.monotonic() + 60
+        while relighter.dark_lights and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert relighter.dark_lights == begin(few, *settings, video=False).count == 0, "its own are kept"
+    assert all(programs.kept_function(function).is_kept(*arrays) for function, *arrays in dark.cascades)
 
 
 def _shapes(function: Any, arrays: Any) -> tuple[Any, ...]:
