@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from hyjax.geometry.raycast import RayCaster
@@ -16,7 +16,11 @@ from hyjax.util.vectors import orthonormal_frame
 
 FEWEST_FRAMES = 3
 FEWEST_UNSCANNED_FRAMES = 5
-"""Fewest frames that must agree on a lamp outside the scan."""
+"""Fewest frames that must agree on a lamp outside the scan, unless `FEWEST_FRAMES` agree closely."""
+LEAST_CLOSE_RADIUS = 0.05
+"""Least radius, in metres, of a lamp outside the scan on which so few frames agree; less is a glint."""
+CLOSE_SHARE, CLOSE_RATIO = 0.25, 1.2
+"""Distance of a ray from a lamp, over its radius, and ratio of two radii, up to which a frame agrees closely."""
 RAY_TOLERANCE = 0.1
 """Largest distance, in metres, between rays to one lamp."""
 LARGEST_RADIUS, LEAST_RADIUS = 0.35, 0.025
@@ -31,10 +35,12 @@ MOST_CANDIDATES = 20000
 MOST_LAMPS = 16
 LARGEST_SHARE = 0.05
 """Largest share of a picture in a lamp's burnt-out blob."""
+LEAST_DISC = 40
+"""Fewest pixels of a disc."""
 LEAST_ALONE_SHARE = 0.6
 """Least share of a blob in all burnt-out pixels around it."""
-DARK_VALUE = 0.75
-"""Largest display value of a lamp's surroundings."""
+DARK_VALUE, DARK_VALUE_OF_DISC = 0.75, 0.93
+"""Largest display value of a lamp's surroundings; of those of a disc, as a globe before a bright wall is one."""
 
 
 def search_lamps(
@@ -46,14 +52,15 @@ def search_lamps(
         return ()
     blobs = [blob for number, s in enumerate(sightings) for blob in blobs_of(number, s)]
     lamps: list[PhotoLamp] = []
-    for place, radius, votes in _candidates(sightings, blobs):
+    for place, radius, votes, close in _candidates(sightings, blobs):
         if not _inside(box, windows, place) or _seen_lit(sightings, place, radius) < 0.7:
             continue
         if any(np.linalg.norm(lamp.position - place) < lamp.radius + radius + RAY_TOLERANCE for lamp in lamps):
             continue
         points, faces = _surface(sightings, place, radius)
         ceiling = bool(box[1][4] - box[0][4] @ place < 0.25)
-        if not len(points) and votes < FEWEST_UNSCANNED_FRAMES:
+        closely = close >= FEWEST_FRAMES and radius >= LEAST_CLOSE_RADIUS
+        if not len(points) and votes < FEWEST_UNSCANNED_FRAMES and not closely:
             continue
         if not ceiling and (is_flat(sightings, place, points) or _lies(caster, place, radius, up)):
             continue
@@ -80,7 +87,7 @@ def blobs_of(number: int, s: Sighting) -> list[Blob]:
         grown = tuple(slice(max(side.start - 4, 0), side.stop + 4) for side in region)
         blob = labels[grown] == k
         ring = ndimage.binary_dilation(blob, iterations=4) & ~ndimage.binary_dilation(blob, iterations=2)
-        if not ring.any() or np.median(s.low[grown][ring]) > DARK_VALUE:
+        if not ring.any() or np.median(s.low[grown][ring]) > (DARK_VALUE_OF_DISC if _is_disc(part) else DARK_VALUE):
             continue
         reach = int(np.ceil(np.sqrt(area)))
         around = tuple(slice(max(side.start - reach, 0), side.stop + reach) for side in region)
@@ -92,8 +99,17 @@ def blobs_of(number: int, s: Sighting) -> list[Blob]:
     return found
 
 
-def _candidates(sightings: Sequence[Sighting], blobs: Sequence[Blob]) -> list[tuple[Vector, float, int]]:
-    """Candidate places where rays to blobs of one size meet; radii; numbers of frames, largest first."""
+def _is_disc(part: Bool[np.ndarray, "h w"]) -> bool:
+    """Whether a blob that fills its rectangle is round: as high as it is wide, and without the corners."""
+    height, width = part.shape
+    return part.sum() >= LEAST_DISC and 0.8 < height / width < 1.25 and 0.7 < part.mean() < 0.9
+
+
+def _candidates(sightings: Sequence[Sighting], blobs: Sequence[Blob]) -> list[tuple[Vector, float, int, int]]:
+    """Candidate places where rays to blobs of one size meet; radii; numbers of frames that agree, and closely.
+
+    Those with most frames come first.
+    """
     if len(blobs) < FEWEST_FRAMES:
         return []
     number = np.array([blob.sighting for blob in blobs])
@@ -115,7 +131,7 @@ def _candidates(sightings: Sequence[Sighting], blobs: Sequence[Blob]) -> list[tu
         & (radius < LARGEST_RADIUS)
     )
     places, radii = ((p + q) / 2)[good][:MOST_CANDIDATES], radius[good][:MOST_CANDIDATES]
-    votes = np.zeros(len(places), int)
+    votes, close = np.zeros((2, len(places)), int)
     for k in np.unique(number):
         in_frame = number == k
         to = places[:, None] - origin[in_frame]
@@ -124,8 +140,10 @@ def _candidates(sightings: Sequence[Sighting], blobs: Sequence[Blob]) -> list[tu
         ratio = size[in_frame] * along / radii[:, None]
         agree = (along > 0) & (off < np.maximum(0.5 * radii, 0.03)[:, None]) & (ratio > 0.5) & (ratio < 2.0)
         votes += agree.any(axis=1)
-    best = [k for k in np.argsort(-votes, kind="stable") if votes[k] >= FEWEST_FRAMES]
-    return [(places[k], float(radii[k]), int(votes[k])) for k in best]
+        closely = agree & (off < np.maximum(CLOSE_SHARE * radii, 0.015)[:, None])
+        close += (closely & (ratio > 1 / CLOSE_RATIO) & (ratio < CLOSE_RATIO)).any(axis=1)
+    best = [k for k in np.lexsort((-close, -votes)) if votes[k] >= FEWEST_FRAMES]
+    return [(places[k], float(radii[k]), int(votes[k]), int(close[k])) for k in best]
 
 
 def _inside(box: Box, windows: Sequence[PhotoWindow], place: Vector) -> bool:

@@ -1,10 +1,11 @@
 """Search for the windows and lamps that lit photographs, in the photographs.
 
-A window is a hole of the scan in a wall or the ceiling, a good part of which is burnt out in several frames, with
-some scanned wall around it. Where most of it was scanned, a tenth is open at least, and the wall around is darker.
+A window is a hole of the scan in a wall or the ceiling, a good part of which is burnt out in most frames that see
+it, with some scanned wall around it that is not: a lamp before a hole burns another part in each frame, and a glow
+fades slowly. Where most of it was scanned, a tenth is open at least, and the wall around is darker.
 A lamp is a small burnt-out blob inside the room at which the rays of several frames meet, unless the scan is flat
 there: a sheet of paper; or one overhead on which two frames agree (`ceiling_lamps`); or, in dark pictures, what all
-their burnt-out parts share (`glowing_places`).
+their burnt-out parts share (`glowing_places`). Of what was not scanned, more frames must agree, or agree closely.
 """
 
 import dataclasses
@@ -34,12 +35,15 @@ CELL_SIDE = 0.05
 """Side, in metres, of a cell of a wall."""
 OPENING_DEPTH = 0.06
 """Depth behind a wall's plane, in metres, from which a surface belongs to the opening."""
-FEWEST_FRAMES = 2
+FEWEST_FRAMES = 1.5
 """Fewest frames that see a cell of a window, in the mean."""
+LEAST_AGREEMENT = 0.4
+"""Least share of the frames that see a burnt-out cell of a window in which it is; a lamp before a hole of the scan
+burns another cell in each."""
 MOST_SATURATED_SHARE = 0.5
 """Largest share of burnt-out pixels; beyond it the frames carry no information about windows."""
 LEAST_AREA = 0.15
-"""Least area of a window, in square metres."""
+"""Least area of a window, and of what is burnt out of it, in square metres."""
 LEAST_OPEN_SHARE = 0.1
 """Least share of a window that is a hole of the scan; a surface without a hole is a burnt-out wall."""
 LEAST_WALL_SHARE = 0.1
@@ -48,6 +52,8 @@ LEAST_WALL_OF_BURNT = 0.5
 """The same of a burnt-out part of a hole; with less around, it is any part of what was not scanned."""
 MOST_GROWN, GROWN_SHARE = 5, 0.8
 """Most cells that a burnt-out part grows by at each side, and least share of such a line that is a hole."""
+LARGEST_VALUE_BESIDE = 0.85
+"""Largest display value, in the median, of the wall within 15 cm of a window."""
 LARGEST_ASPECT = 10
 """Largest ratio of a window's sides; a longer patch is a sunlit strip of ground."""
 _log = logging.getLogger(__name__)
@@ -124,11 +130,12 @@ def _windows_of(wall: int, box: Box, sightings: Sequence[Sighting], up: Vector) 
         np.add.at(total, (i[solid], j[solid]), value[solid])
         np.add.at(weight, (i[solid], j[solid]), 1.0)
     hole = (count["open"] > 0) & (count["open"] >= count["wall"])
-    white = count["burnt wall"] > FEWEST_FRAMES
+    white = count["burnt wall"] > 2
     burnt = (count["burnt hole"] > 0) | white
+    burnt_frames = count["burnt hole"] + count["burnt wall"]
     frames_seen = count["open"] + count["burnt wall"]
     brightness = np.where(weight > 0, total / np.maximum(weight, 1.0), np.nan)
-    cells = _Cells(hole | white, hole, burnt, count["wall"] > 0, frames_seen, brightness)
+    cells = _Cells(hole | white, hole, burnt, count["wall"] > 0, frames_seen, burnt_frames, brightness)
     windows = []
     for rectangle in _rectangles(cells):
         first = low + CELL_SIDE * np.array(rectangle[::2])
@@ -152,7 +159,7 @@ class _Cells:
         hole: without a surface.
         burnt: burnt out in a frame.
         wall: with a surface in the wall's plane.
-        frames: number of frames that see each.
+        frames, burnt_frames: number of frames that see each, and of those in which it is burnt out.
         brightness: mean of the surface in the wall's plane; NaN without.
     """
 
@@ -161,6 +168,7 @@ class _Cells:
     burnt: Bool[np.ndarray, "a b"]
     wall: Bool[np.ndarray, "a b"]
     frames: Int[np.ndarray, "a b"]
+    burnt_frames: Int[np.ndarray, "a b"]
     brightness: Float[np.ndarray, "a b"]
 
 
@@ -181,7 +189,11 @@ def _rectangles(cells: _Cells) -> list[Rectangle]:
             core = _middle(part)
             inside = _slices(core)
             area = part[inside].size * CELL_SIDE**2
-            if area < LEAST_AREA or part[inside].mean() < 0.6 or cells.burnt[inside].mean() < 0.25:
+            shining = cells.burnt[inside]
+            if shining.sum() * CELL_SIDE**2 < LEAST_AREA or part[inside].mean() < 0.6 or shining.mean() < 0.25:
+                continue
+            seen, burnt = cells.frames[inside][shining].sum(), cells.burnt_frames[inside][shining].sum()
+            if burnt < LEAST_AGREEMENT * seen:
                 continue
             sides = sorted((core[1] - core[0], core[3] - core[2]))
             if sides[0] * CELL_SIDE < 0.25 or sides[1] > LARGEST_ASPECT * sides[0]:
@@ -195,7 +207,8 @@ def _rectangles(cells: _Cells) -> list[Rectangle]:
                 continue
             if cells.frames[inside].mean() < FEWEST_FRAMES:
                 continue
-            if open_share >= 0.3 or _stands_out(cells.brightness[around], area):
+            beside = cells.brightness[_rim(part.shape, inside, 0, 3)]
+            if _ends_sharply(beside) and (open_share >= 0.3 or _stands_out(beside, area)):
                 found.append((wall_share, core, whole))
     kept: list[tuple[Rectangle, Rectangle]] = []
     for _, core, whole in sorted(found, key=lambda one: -one[0]):
@@ -233,15 +246,24 @@ def _slices(rectangle: Rectangle) -> tuple[slice, slice]:
     return slice(rectangle[0], rectangle[1] + 1), slice(rectangle[2], rectangle[3] + 1)
 
 
-def _rim(shape: tuple[int, int], inside: tuple[slice, slice]) -> Bool[np.ndarray, "a b"]:
-    """Mask of the cells close around a rectangle."""
+def _rim(
+    shape: tuple[int, int], inside: tuple[slice, slice], near: int = 2, far: int = 5
+) -> Bool[np.ndarray, "a b"]:
+    """Mask of the cells around a rectangle, from a number of cells to another."""
     whole = np.zeros(shape, bool)
     whole[inside] = True
-    return ndimage.binary_dilation(whole, iterations=5) & ~ndimage.binary_dilation(whole, iterations=2)
+    outer, inner = (ndimage.binary_dilation(whole, iterations=k) if k else whole for k in (far, near))
+    return outer & ~inner
 
 
 def _overlap(a: Rectangle, b: Rectangle) -> bool:
     return a[0] <= b[1] and b[0] <= a[1] and a[2] <= b[3] and b[2] <= a[3]
+
+
+def _ends_sharply(beside: Float[np.ndarray, "n"]) -> bool:
+    """Whether the wall beside a burnt-out part is not nearly burnt out, as in the glow of a lamp."""
+    known = beside[np.isfinite(beside)]
+    return not len(known) or float(np.median(known)) < LARGEST_VALUE_BESIDE
 
 
 def _stands_out(around: Float[np.ndarray, "n"], area: float) -> bool:

@@ -88,6 +88,40 @@ def test_a_lamp_is_found_that_burns_out_the_wall_and_touches_the_border(box: Ray
     assert glowing_places(box, [sight(box, frame) for frame in bright], UP) == []  # daylight burns walls out, too
 
 
+@pytest.mark.parametrize("value", [0.3, 0.88])
+@pytest.mark.parametrize(
+    ("count", "radius", "found"),
+    [(3, 0.08, True), (2, 0.08, False), (3, 0.035, False)],  # two frames agree by chance; so small is a glint
+)
+def test_three_frames_that_agree_closely_find_a_globe_that_was_not_scanned(
+    count: int, radius: float, found: bool, value: float, box: RayCaster
+) -> None:
+    """Before a bright wall, too."""
+    frames = [picture(eye, np.array([0.2, 2.5, 1.0]), value) for eye in EYES[:count]]
+    for frame in frames:
+        paint(frame, LAMP, radius)
+    lamps = [lamp for lamp in search_sources(box, frames, UP)[1] if lamp.radius > 0]
+    assert len(lamps) == found
+    for lamp in lamps:
+        np.testing.assert_allclose(lamp.position, LAMP, atol=0.03)
+        assert lamp.radius == pytest.approx(radius, rel=0.15)
+
+
+def test_three_frames_that_agree_loosely_find_no_lamp(box: RayCaster) -> None:
+    frames = [picture(eye, np.array([0.2, 2.5, 1.0])) for eye in EYES[:3]]
+    for frame, radius in zip(frames, (0.06, 0.08, 0.11), strict=True):
+        paint(frame, LAMP, radius)
+    assert all(lamp.radius == 0 for lamp in search_sources(box, frames, UP)[1])
+
+
+def test_a_patch_of_a_bright_wall_is_no_globe(box: RayCaster) -> None:
+    frame = picture(EYES[0], np.array([0.0, 2.0, 1.4]), 0.88)
+    frame.image[100:112, 100:140] = frame.image[150:162, 100:112] = 1.0
+    assert blobs_of(0, sight(box, frame)) == []
+    paint(frame, np.array([0.0, 2.0, 1.9]), 0.08)
+    assert len(blobs_of(0, sight(box, frame))) == 1
+
+
 def test_cameras_that_hardly_move_find_no_lamp(box: RayCaster) -> None:
     """Their rays meet anywhere."""
     steps = ((0.0, 0.0, 0.0), (0.02, 0.0, 0.0), (0.0, 0.03, 0.0), (0.0, 0.0, 0.02))

@@ -49,9 +49,45 @@ def test_the_window_is_found_without_hints(room: RoomCapture, scene: Scene) -> N
     np.testing.assert_allclose(np.cross(windows[0].right, windows[0].up) @ windows[0].normal > 0, True)
 
 
-def rectangles(hole: np.ndarray, burnt: np.ndarray, wall: np.ndarray, frames: int | np.ndarray = 3) -> list:
+def rectangles(
+    hole: np.ndarray,
+    burnt: np.ndarray,
+    wall: np.ndarray,
+    frames: int | np.ndarray = 3,
+    *,
+    agreement: float = 1.0,
+    value: float = 0.5,
+) -> list:
     seen = np.broadcast_to(np.asarray(frames), hole.shape)
-    return source_search._rectangles(source_search._Cells(hole, hole, burnt, wall, seen, np.full(hole.shape, 0.5)))
+    burnt_frames, brightness = np.where(burnt, agreement * seen, 0), np.full(hole.shape, value)
+    return source_search._rectangles(source_search._Cells(hole, hole, burnt, wall, seen, burnt_frames, brightness))
+
+
+@pytest.mark.parametrize(
+    ("changed", "found"),
+    [
+        ({}, 1),
+        ({"frames": 10, "agreement": 0.5}, 1),
+        ({"frames": 10, "agreement": 0.3}, 0),  # a lamp before the hole burns another cell in each frame
+        ({"value": 0.84}, 1),
+        ({"value": 0.9}, 0),  # the glow of a lamp
+        ({"frames": 1}, 0),
+    ],
+)
+def test_a_window_is_burnt_out_in_most_frames_and_ends_sharply(changed: dict[str, Any], found: int) -> None:
+    hole = np.zeros((60, 60), bool)
+    hole[20:45, 10:40] = True
+    assert len(rectangles(hole, hole, ~hole, **changed)) == found
+
+
+@pytest.mark.parametrize(("side", "found"), [(7, 0), (8, 1)])
+def test_what_is_burnt_out_of_a_window_has_some_area(side: int, found: int) -> None:
+    """0.15 square metres, in cells of 5 cm; less is a lamp."""
+    hole = np.zeros((60, 60), bool)
+    hole[20:30, 10:20] = True
+    burnt = np.zeros_like(hole)
+    burnt[20 : 20 + side, 10 : 10 + side] = True
+    assert len(rectangles(hole, burnt, ~hole)) == found
 
 
 @pytest.mark.parametrize("scanned", [True, False])
@@ -82,7 +118,7 @@ def test_of_a_hole_and_what_is_burnt_out_of_it_one_is_left() -> None:
     hole[20:45, 10:50] = True
     burnt = np.zeros_like(hole)
     burnt[20:45, 10:30] = True
-    frames = np.where(burnt, 3, 0)
+    frames = np.where(burnt, 2, 0)
     assert rectangles(hole, burnt, ~hole, frames) == [(20, 44, 10, 29 + source_search.MOST_GROWN)]
 
 
