@@ -23,6 +23,7 @@ from hyjax.photo_light.hints import hinted_sources, shows_light
 from hyjax.photo_light.lamp_search import search_lamps
 from hyjax.photo_light.sightings import Box, Sighting, closing_box, exits, sight
 from hyjax.photo_light.sources import (
+    LAMP_RADIUS,
     SATURATED_VALUE,
     PhotoLamp,
     PhotoSources,
@@ -56,6 +57,8 @@ LARGEST_VALUE_BESIDE = 0.85
 """Largest display value, in the median, of the wall within 15 cm of a window."""
 LARGEST_ASPECT = 10
 """Largest ratio of a window's sides; a longer patch is a sunlit strip of ground."""
+NEAR_LAMP = 0.35
+"""Distance, in metres, up to which a lamp that is found is one that was told of."""
 _log = logging.getLogger(__name__)
 
 
@@ -78,7 +81,8 @@ def find_photo_sources(
     """Windows and lamps of photographs: from a file, else from the capture's hints, else by search."""
     up = np.asarray(capture.up, float)
     if file is not None:
-        return read_sources(file, up, caster, np.stack([frame.camera.origin for frame in frames]))
+        given = read_sources(file, up, caster, np.stack([frame.camera.origin for frame in frames]))
+        return _as_seen(given, caster, frames, up)
     hinted = hinted_sources(capture.anchors, up, caster, frames)
     doubted = [window.name for window in hinted.windows if shows_light(window, caster, frames) is False]
     if doubted:
@@ -89,9 +93,20 @@ def find_photo_sources(
             ", ".join(doubted),
         )
     if hinted.windows or hinted.lamps:
-        return hinted
+        return _as_seen(hinted, caster, frames, up)
     windows, lamps = search_sources(caster, frames, up)
     return PhotoSources(windows, lamps, "found" if windows or lamps else "none")
+
+
+def _as_seen(sources: PhotoSources, caster: RayCaster, frames: Sequence[Frame], up: Vector) -> PhotoSources:
+    """Sources whose lamps glow as those do that are found at their places."""
+    found = search_sources(caster, frames, up)[1] if sources.lamps else ()
+    lamps = list(sources.lamps)
+    for number, lamp in enumerate(lamps):
+        near = [seen for seen in found if seen.radius and np.linalg.norm(seen.position - lamp.position) < NEAR_LAMP]
+        if near and lamp.radius == LAMP_RADIUS:  # nothing else was told of it
+            lamps[number] = dataclasses.replace(lamp, radius=near[0].radius, faces=near[0].faces)
+    return dataclasses.replace(sources, lamps=tuple(lamps))
 
 
 def _windows_of(wall: int, box: Box, sightings: Sequence[Sighting], up: Vector) -> list[PhotoWindow]:

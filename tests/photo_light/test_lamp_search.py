@@ -1,6 +1,7 @@
 """Lit lamps in pictures: in rows overhead, at the border, and where they burn out what is around them."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +16,8 @@ from hyjax.photo_light.ceiling_lamps import Blob, ceiling_lamps
 from hyjax.photo_light.glowing_places import glowing_places
 from hyjax.photo_light.lamp_search import blobs_of, is_flat
 from hyjax.photo_light.sightings import sight
-from hyjax.photo_light.source_search import search_sources
+from hyjax.photo_light.source_search import find_photo_sources, search_sources
+from hyjax.photo_light.sources import LAMP_RADIUS
 from hyjax.scene.scene import Scene
 from hyjax.util.vectors import unit
 
@@ -105,6 +107,20 @@ def test_three_frames_that_agree_closely_find_a_globe_that_was_not_scanned(
     for lamp in lamps:
         np.testing.assert_allclose(lamp.position, LAMP, atol=0.03)
         assert lamp.radius == pytest.approx(radius, rel=0.15)
+
+
+@pytest.mark.parametrize(("told", "radius"), [("", 0.08), (", radius: 0.2", 0.2)])
+def test_a_lamp_that_is_told_glows_as_it_is_seen(told: str, radius: float, box: RayCaster, tmp_path: Path) -> None:
+    """At the place that was told; a radius that was told stays."""
+    frames = [picture(eye, np.array([0.2, 2.5, 1.0])) for eye in EYES]
+    for frame in frames:
+        paint(frame, LAMP, 0.08)
+    place = LAMP + np.array([0.1, 0.0, 0.0])
+    file = tmp_path / "sources.yaml"
+    file.write_text(f"lamps: [{{position: {place.tolist()}{told}}}, {{position: [-1.0, 1.0, 1.0]}}]")
+    near, other = find_photo_sources(ListedFrames(frames, UP), box, frames, file=file).lamps
+    np.testing.assert_allclose(near.position, place)
+    assert near.radius == pytest.approx(radius, rel=0.15) and other.radius == LAMP_RADIUS
 
 
 def test_three_frames_that_agree_loosely_find_no_lamp(box: RayCaster) -> None:
