@@ -83,6 +83,7 @@ TABLES: dict[str, Published] = {
     "truth": Published("truth", 0),
     "truth-setups": Published("truth", 1),
     "truth-rooms": Published("truth", 2),
+    "found-sources": Published("found_sources"),
     # real places under two lights
     "real": Published("real_geometries", 0, lines=REAL_LINES),
     "real-rough": Published("real_geometries", 1, lines=REAL_LINES),

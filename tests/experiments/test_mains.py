@@ -15,6 +15,7 @@ from experiments import (
     conductances,
     first_picture,
     flicker,
+    found_sources,
     guide_worth,
     live,
     readme_picture,
@@ -29,6 +30,7 @@ from experiments.real_room import room_pair
 from experiments.records import FILE, Row, of_kind, read_rows
 from experiments.truth_methods import METHODS as METHODS_OF_TRUTH
 from experiments.truth_methods import OPENCV, PHOTO, TRUE_ALL
+from hyjax.photo_light.sources import PhotoWindow
 from hyjax.relighting.settings import RelightSettings
 from hyjax.util.errors import InputError
 from hyjax.util.images import picture_shape
@@ -56,6 +58,26 @@ def test_flicker(scan: Path, tmp_path: Path) -> None:
     psnr = {row["method"]: row["psnr"] for row in second}
     assert psnr.pop(flicker.ACCURATE) is None  # infinite: it is the target
     assert all(5 < value < 60 for value in psnr.values())
+
+
+@pytest.mark.slow
+def test_found_sources(tmp_path: Path) -> None:
+    config = found_sources.Config(seed=41, count=2, size="96x72", quality=0.1, out=tmp_path)
+    rooms = of_kind(rows_of(found_sources.main, config, "random-41-0-both.png"), "room")
+    assert [row["light"] for row in rooms] == ["both", "day"]
+    counts = [sum(row["counts"][f"windows {verdict}"] for row in rooms) for verdict in ("found", "missed")]
+    assert counts[0] > 0 and sum(counts) == 3
+
+
+def test_two_windows_share_a_part_of_their_union() -> None:
+    def window(x: float, width: float, normal: float = 1.0) -> PhotoWindow:
+        center, inward, up = np.array([x, 0.0, 1.5]), np.array([0.0, normal, 0.0]), np.array([0.0, 0.0, 1.0])
+        return PhotoWindow.facing("", center, inward, up, width, 1.0)
+
+    overlap = found_sources._overlap
+    assert overlap(window(0.0, 2.0), window(0.0, 2.0)) == pytest.approx(1.0)
+    assert overlap(window(0.0, 2.0), window(1.0, 2.0)) == pytest.approx(1 / 3)
+    assert overlap(window(0.0, 2.0), window(3.0, 2.0)) == overlap(window(0.0, 2.0), window(0.0, 2.0, -1.0)) == 0
 
 
 @pytest.mark.slow
