@@ -8,6 +8,7 @@ EXPERIMENTS = (
     "patches",
     "readme_picture",
     "flicker",
+    "found_sources",
     "structure",
     "conductances",
     "depth_sr",
