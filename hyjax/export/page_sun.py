@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from hyjax.data.frames import spread
 from hyjax.device.page_scene import setup_content
-from hyjax.scene.light_places import tell_made_up
+from hyjax.scene.light_setups import tell_made_up
 from hyjax.scene.scene import Scene
 from hyjax.tour.lighting import ADAPTATION, LEAST_AMBIENT, WALL_REFLECTANCE, Lighting, lights_from_outside
 from hyjax.tour.placement import sunny_plan

@@ -12,6 +12,7 @@ from hyjax.light.kinds import Light
 from hyjax.light.setup import LightSetup, check_lights
 from hyjax.util.arguments import checked_arguments
 from hyjax.util.errors import InputError
+from hyjax.util.tracing import Run, call
 
 
 @jax.tree_util.register_dataclass
@@ -87,16 +88,23 @@ class Shaded:
         return cls(illuminance, visibility, colors, known, setup.reference_lux, ambient)
 
 
-def with_dark_lights(shaded: Shaded, *, count: int) -> Shaded:
+def with_dark_lights(shaded: Shaded, count: int, *, run: Run = call) -> Shaded:
     """Shaded surface with black lights after its own, which change no picture: programs of more lights take it."""
-
-    def padded(channels: Float[Array, "*n"], axis: int) -> Float[Array, "*n"]:
-        return jnp.pad(channels, [(0, count if k == axis else 0) for k in range(channels.ndim)])
-
-    illuminance, visibility = padded(shaded.illuminance, 2), padded(shaded.visibility, 2)
-    return dataclasses.replace(
-        shaded, illuminance=illuminance, visibility=visibility, colors=padded(shaded.colors, 0)
+    illuminance, visibility, colors = run(
+        _padded, shaded.illuminance, shaded.visibility, shaded.colors, count=count
     )
+    return dataclasses.replace(shaded, illuminance=illuminance, visibility=visibility, colors=colors)
+
+
+def _padded(
+    illuminance: Float[Array, "h w l"],
+    visibility: Float[Array, "h w l"],
+    colors: Float[Array, "l 3"],
+    *,
+    count: int,
+) -> tuple[Float[Array, "h w m"], Float[Array, "h w m"], Float[Array, "m 3"]]:
+    channels, rows = ((0, 0), (0, 0), (0, count)), ((0, count), (0, 0))
+    return jnp.pad(illuminance, channels), jnp.pad(visibility, channels), jnp.pad(colors, rows)
 
 
 @jax.jit

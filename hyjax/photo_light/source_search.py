@@ -1,8 +1,8 @@
 """Search for the windows and lamps that lit photographs, in the photographs.
 
-A window is a hole of the scan in a wall or the ceiling, a good part of which is burnt out in most frames that see
-it, with some scanned wall around it that is not: a lamp before a hole burns another part in each frame, and a glow
-fades slowly. Where most of it was scanned, a tenth is open at least, and the wall around is darker.
+A window is a hole of the scan in a wall or the ceiling, a good part of which is burnt out in two of five frames
+that see it, with some scanned wall around it that is not: a lamp before a hole burns another part in each frame, a
+glow fades slowly. Where most of it was scanned, a tenth is open at least, and the wall around is darker.
 A lamp is a small burnt-out blob inside the room at which the rays of several frames meet, unless the scan is flat
 there: a sheet of paper; or one overhead on which two frames agree (`ceiling_lamps`); or, in dark pictures, what all
 their burnt-out parts share (`glowing_places`). Of what was not scanned, more frames must agree, or agree closely.
@@ -23,23 +23,24 @@ from hyjax.photo_light.hints import hinted_sources, shows_light
 from hyjax.photo_light.lamp_search import search_lamps
 from hyjax.photo_light.sightings import Box, Sighting, closing_box, exits, sight
 from hyjax.photo_light.sources import (
-    LAMP_RADIUS,
     SATURATED_VALUE,
     PhotoLamp,
     PhotoSources,
     PhotoWindow,
     Vector,
     read_sources,
+    source_entries,
 )
 
 CELL_SIDE = 0.05
 """Side, in metres, of a cell of a wall."""
 OPENING_DEPTH = 0.06
 """Depth behind a wall's plane, in metres, from which a surface belongs to the opening."""
-FEWEST_FRAMES = 1.5
-"""Fewest frames that see a cell of a window, in the mean."""
+FEWEST_FRAMES, FEWEST_WHITE_FRAMES = 1.3, 3
+"""Fewest frames that see a cell of a window, in the mean; fewest in which a cell of the wall is burnt out for it to
+be of one."""
 LEAST_AGREEMENT = 0.4
-"""Least share of the frames that see a burnt-out cell of a window in which it is; a lamp before a hole of the scan
+"""Least share of the frames that see a burnt-out cell of a window in which it is, in the mean; a lamp before a hole
 burns another cell in each."""
 MOST_SATURATED_SHARE = 0.5
 """Largest share of burnt-out pixels; beyond it the frames carry no information about windows."""
@@ -82,30 +83,39 @@ def find_photo_sources(
     up = np.asarray(capture.up, float)
     if file is not None:
         given = read_sources(file, up, caster, np.stack([frame.camera.origin for frame in frames]))
-        return _as_seen(given, caster, frames, up)
+        if doubted := _doubted(given, caster, frames):
+            _log.warning("%s: %s is neither open nor burnt out in any picture", file, doubted)
+        return _as_seen(given, [lamp.radius is None for lamp in source_entries(file)[1]], caster, frames, up)
     hinted = hinted_sources(capture.anchors, up, caster, frames)
-    doubted = [window.name for window in hinted.windows if shows_light(window, caster, frames) is False]
-    if doubted:
+    if doubted := _doubted(hinted, caster, frames):
         _log.warning(
             "%s: %s, which the capture names, is neither open nor burnt out in any picture; if it is wrong, name "
             "the right ones with --photo-sources",
             capture.name,
-            ", ".join(doubted),
+            doubted,
         )
     if hinted.windows or hinted.lamps:
-        return _as_seen(hinted, caster, frames, up)
+        return _as_seen(hinted, [True] * len(hinted.lamps), caster, frames, up)
     windows, lamps = search_sources(caster, frames, up)
     return PhotoSources(windows, lamps, "found" if windows or lamps else "none")
 
 
-def _as_seen(sources: PhotoSources, caster: RayCaster, frames: Sequence[Frame], up: Vector) -> PhotoSources:
-    """Sources whose lamps glow as those do that are found at their places."""
-    found = search_sources(caster, frames, up)[1] if sources.lamps else ()
+def _doubted(sources: PhotoSources, caster: RayCaster, frames: Sequence[Frame]) -> str:
+    """Names of the windows that no picture shows open or bright, though one shows them."""
+    return ", ".join(window.name for window in sources.windows if shows_light(window, caster, frames) is False)
+
+
+def _as_seen(
+    sources: PhotoSources, unformed: Sequence[bool], caster: RayCaster, frames: Sequence[Frame], up: Vector
+) -> PhotoSources:
+    """Sources whose lamps glow, where `unformed` says that their form is not known, as the ones found there do."""
+    found = [lamp for lamp in search_sources(caster, frames, up)[1] if lamp.radius] if any(unformed) else []
     lamps = list(sources.lamps)
-    for number, lamp in enumerate(lamps):
-        near = [seen for seen in found if seen.radius and np.linalg.norm(seen.position - lamp.position) < NEAR_LAMP]
-        if near and lamp.radius == LAMP_RADIUS:  # nothing else was told of it
-            lamps[number] = dataclasses.replace(lamp, radius=near[0].radius, faces=near[0].faces)
+    for number in np.flatnonzero(unformed) if found else ():
+        away = [float(np.linalg.norm(seen.position - lamps[number].position)) for seen in found]
+        seen = found[int(np.argmin(away))]
+        if min(away) < NEAR_LAMP:
+            lamps[number] = dataclasses.replace(lamps[number], radius=seen.radius, faces=seen.faces)
     return dataclasses.replace(sources, lamps=tuple(lamps))
 
 
@@ -129,7 +139,8 @@ def _windows_of(wall: int, box: Box, sightings: Sequence[Sighting], up: Vector) 
     high = np.array([max(part[k].max() for part in seen) for k in (0, 1)])
     low, high = np.maximum(low, high - 40.0), high  # a ray almost along the wall leaves it far away
     shape = tuple(((high - low) / CELL_SIDE).astype(int) + 1)
-    count = {key: np.zeros(shape, int) for key in ("open", "wall", "burnt hole", "burnt wall")}
+    keys = "open", "wall", "burnt hole", "burnt wall", "seen", "shown", "burnt"
+    count = {key: np.zeros(shape, int) for key in keys}
     total, weight = np.zeros(shape), np.zeros(shape)
     for a, b, behind, value in seen:
         index = (np.stack([a, b], axis=-1) - low) / CELL_SIDE
@@ -139,18 +150,18 @@ def _windows_of(wall: int, box: Box, sightings: Sequence[Sighting], up: Vector) 
         hole, solid, burnt = behind > OPENING_DEPTH, np.abs(behind) <= 2 * OPENING_DEPTH, value > SATURATED_VALUE
         for key, which in (
             ("open", hole), ("wall", solid & ~hole), ("burnt hole", hole & burnt), ("burnt wall", solid & burnt),
+            ("seen", hole | solid), ("shown", hole | (solid & burnt)), ("burnt", (hole | solid) & burnt),
         ):  # fmt: skip
             flat = np.unique(i[which] * shape[1] + j[which])
             count[key].reshape(-1)[flat] += 1
         np.add.at(total, (i[solid], j[solid]), value[solid])
         np.add.at(weight, (i[solid], j[solid]), 1.0)
     hole = (count["open"] > 0) & (count["open"] >= count["wall"])
-    white = count["burnt wall"] > 2
+    white = count["burnt wall"] >= FEWEST_WHITE_FRAMES
     burnt = (count["burnt hole"] > 0) | white
-    burnt_frames = count["burnt hole"] + count["burnt wall"]
-    frames_seen = count["open"] + count["burnt wall"]
+    agreement = count["burnt"] / np.maximum(count["seen"], 1)
     brightness = np.where(weight > 0, total / np.maximum(weight, 1.0), np.nan)
-    cells = _Cells(hole | white, hole, burnt, count["wall"] > 0, frames_seen, burnt_frames, brightness)
+    cells = _Cells(hole | white, hole, burnt, count["wall"] > 0, count["shown"], agreement, brightness)
     windows = []
     for rectangle in _rectangles(cells):
         first = low + CELL_SIDE * np.array(rectangle[::2])
@@ -174,7 +185,8 @@ class _Cells:
         hole: without a surface.
         burnt: burnt out in a frame.
         wall: with a surface in the wall's plane.
-        frames, burnt_frames: number of frames that see each, and of those in which it is burnt out.
+        frames: number of frames that see each open or burnt out.
+        agreement: share of the frames that see each in which it is burnt out.
         brightness: mean of the surface in the wall's plane; NaN without.
     """
 
@@ -183,7 +195,7 @@ class _Cells:
     burnt: Bool[np.ndarray, "a b"]
     wall: Bool[np.ndarray, "a b"]
     frames: Int[np.ndarray, "a b"]
-    burnt_frames: Int[np.ndarray, "a b"]
+    agreement: Float[np.ndarray, "a b"]
     brightness: Float[np.ndarray, "a b"]
 
 
@@ -207,8 +219,7 @@ def _rectangles(cells: _Cells) -> list[Rectangle]:
             shining = cells.burnt[inside]
             if shining.sum() * CELL_SIDE**2 < LEAST_AREA or part[inside].mean() < 0.6 or shining.mean() < 0.25:
                 continue
-            seen, burnt = cells.frames[inside][shining].sum(), cells.burnt_frames[inside][shining].sum()
-            if burnt < LEAST_AGREEMENT * seen:
+            if cells.agreement[inside][shining].mean() < LEAST_AGREEMENT:
                 continue
             sides = sorted((core[1] - core[0], core[3] - core[2]))
             if sides[0] * CELL_SIDE < 0.25 or sides[1] > LARGEST_ASPECT * sides[0]:
@@ -281,7 +292,7 @@ def _ends_sharply(beside: Float[np.ndarray, "n"]) -> bool:
     return not len(known) or float(np.median(known)) < LARGEST_VALUE_BESIDE
 
 
-def _stands_out(around: Float[np.ndarray, "n"], area: float) -> bool:
-    """Whether a burnt-out patch of wall is a window: large, with a darker wall around most of it."""
-    known = around[np.isfinite(around)]
-    return area >= 0.4 and len(known) > 0.5 * len(around) and float(np.quantile(known, 0.75)) < 0.8
+def _stands_out(beside: Float[np.ndarray, "n"], area: float) -> bool:
+    """Whether a burnt-out patch of wall is a window: large, with a darker wall close around most of it."""
+    known = beside[np.isfinite(beside)]
+    return area >= 0.4 and len(known) > 0.5 * len(beside) and float(np.quantile(known, 0.75)) < 0.8

@@ -10,7 +10,7 @@ They come from a file that a person writes, from the capture's own hints, or are
         height: 1.4
     lamps:
       - position: [1.4, 1.6, 1.5]
-        radius: 0.1             # of what glows; default 0.05
+        radius: 0.1             # of what glows; default: as it is seen, else 0.05
 
 Positions and lengths are in metres, in the capture's world axes.
 """
@@ -135,7 +135,7 @@ class _Window(msgspec.Struct, forbid_unknown_fields=True):
 
 class _Lamp(msgspec.Struct, forbid_unknown_fields=True):
     position: tuple[_Number, _Number, _Number]
-    radius: _Size = LAMP_RADIUS
+    radius: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None
     name: str | None = None
 
 
@@ -146,7 +146,8 @@ class _SourcesFile(msgspec.Struct, forbid_unknown_fields=True):
 
 FORMS = {
     **dict.fromkeys(("center", "normal", "position"), "three finite numbers"),
-    **dict.fromkeys(("width", "height", "radius"), "a number of metres > 0"),
+    **dict.fromkeys(("width", "height"), "a number of metres > 0"),
+    "radius": "a number of metres > 0, at most 1",
     **dict.fromkeys(("windows", "lamps"), "a list"),
     "name": "a text",
 }
@@ -190,15 +191,17 @@ def read_sources(path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarr
             _check_place(windows[-1], caster, eyes)
         except InputError as error:
             raise InputError(f"{path}: window {i}: {error}") from None
-    low, high = caster.mesh.bounds
+    bounds = np.concatenate([caster.mesh.bounds, eyes])  # above an open place nothing is scanned
+    low, high = bounds.min(axis=0) - WALL_DISTANCE, bounds.max(axis=0) + WALL_DISTANCE
     made = []
     for i, lamp in enumerate(lamps):
         place = np.asarray(lamp.position, float)
-        if (place < low - WALL_DISTANCE).any() or (place > high + WALL_DISTANCE).any():
+        if (place < low).any() or (place > high).any():
             raise InputError(
-                f"{path}: lamp {i}: position {list(lamp.position)} lies outside the scan (metres, its axes)"
+                f"{path}: lamp {i}: position {list(lamp.position)} lies outside the scan and its cameras, from "
+                f"{low.round(1).tolist()} to {high.round(1).tolist()} (metres, its axes)"
             )
-        made.append(PhotoLamp(lamp.name or f"lamp-{i + 1}", place, lamp.radius, np.zeros(0, int)))
+        made.append(PhotoLamp(lamp.name or f"lamp-{i + 1}", place, lamp.radius or LAMP_RADIUS, np.zeros(0, int)))
     names = [window.name for window in windows] + [lamp.name for lamp in made]
     for name in names:
         if name in UNSCANNED:

@@ -141,7 +141,7 @@ def begin_programs(
     for call in (*cascades(dark), (shade_each, seen, tuple(setup.lights[k] for k in direct))):
         pool.submit(make_ready, *call)
     pool.shutdown(wait=False)
-    return DarkLights(dark, cascades(0))
+    return DarkLights(dark, cascades(0)) if dark else DarkLights()
 
 
 def compile_ahead(

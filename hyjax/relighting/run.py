@@ -28,8 +28,7 @@ from hyjax.relighting.pictures import COLUMNS, sheet_row, write_frame, written_p
 from hyjax.relighting.settings import RelightSettings
 from hyjax.scene.exposure import warn_of_far
 from hyjax.scene.fusion_settings import FusionSettings
-from hyjax.scene.light_places import tell_made_up
-from hyjax.scene.light_setups import DARK_SETUPS, EXPOSURES
+from hyjax.scene.light_setups import DARK_SETUPS, EXPOSURES, tell_made_up
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.util.arguments import checked_arguments
@@ -184,12 +183,7 @@ def relight_run(
             # Blender, and what frames leave to the next, there is once.
             once = settings.video or settings.renderer == "blender"
             frames = relit_frames(
-                scene,
-                chosen,
-                relighter,
-                clock,
-                once=once,
-                after_first=functools.partial(dark.drop_later, relighter),
+                scene, chosen, relighter, clock, once=once, after_first=lambda: dark.drop_later(relighter)
             )
         summary = _write_frames(frames, len(chosen), settings, clock, bar)
         if not summary.written:
@@ -329,6 +323,7 @@ def _write_frames(
             summary.size = list(frame.image.shape[:2])
             if done.image is None:
                 summary.skipped.append(frame.name)
+                optimise_programs()
                 continue
             relit = done.compared() if every_stage else None
             pictures = written_pictures(done.image, relit, settings)

@@ -18,7 +18,7 @@ LARGEST_FILTER, LARGEST_FILTER_IN_SUN = 1.6, 3.5
 """Largest filter on all but a twentieth of the surface, without the sun and with it."""
 MOST_BURNT, MOST_BURNT_UNSEEN = 0.1, 0.03
 """Largest share of the surface in a picture that burns out, but for what the photo itself has that bright; the one
-under lights that no picture shows."""
+under the paper's lights, which no picture shows."""
 MOST_OVER_SHARE = 2.0
 """Largest brightness of a picture, beside the sun, over that which the median one should have."""
 DIMMINGS = 8

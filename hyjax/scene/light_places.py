@@ -5,7 +5,6 @@ that reaches what is seen there; a room that is seen from one spot is a single s
 """
 
 import dataclasses
-import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,16 +14,13 @@ from jaxtyping import Bool, Float
 from hyjax.data.capture import Capture
 from hyjax.geometry.camera import Camera
 from hyjax.geometry.raycast import Hits, RayCaster
-from hyjax.light.kinds import Aperture, Light, PointLight, RectLight, SkyLight
+from hyjax.light.kinds import Aperture, RectLight
 from hyjax.photo_light.sources import Vector
 from hyjax.scene.seen_surface import SeenSurface
 from hyjax.util.vectors import fibonacci_sphere, perpendicular, reject, unit
 
 SURVEY_CAMERAS = 24
 """Most cameras of a survey."""
-SAME_PLACE = 0.02
-"""Distance, in metres, of a light from the place that it was given."""
-_log = logging.getLogger(__name__)
 STOP_DISTANCE = 4.0
 """Least distance, in metres, between the lamps of two stops of which one would light what is seen at the other."""
 SAME_PLACE_SHARE = 0.5
@@ -33,6 +29,8 @@ LAMP_CLEARANCE = 1.0
 """Wanted distance, in metres, of a made-up lamp from any surface, which it would burn a spot into."""
 CLEARANCE_WEIGHT = 3.0
 """Way, in metres, that a made-up lamp is moved for a metre of clearance that it lacks."""
+KEPT_DISTANCE_SHARE = 0.7
+"""Least share of their distance that two lamps keep when they are moved."""
 CLEARANCE_RAYS = 200
 """Number of rays around a place that its distance from surfaces is found by."""
 LAMP_SHIFTS = (np.linspace(-1.4, 1.4, 9), np.linspace(-1.4, 1.4, 9), np.linspace(-0.7, 0.7, 5))
@@ -106,6 +104,7 @@ class LightAnchors:
     Attributes:
         focus: median point of the visible surface.
         points: two places in free space, clear of surfaces, above the focus and nearer to the viewer.
+        center: place in free space between the two, clear of surfaces.
         lamps: the room's own lamps, and those of the stops that have none; `points` where there is a single stop
             without any.
         windows: the room's own windows, and those of the stops that none of these reaches.
@@ -117,6 +116,7 @@ class LightAnchors:
     up: Vector
     focus: Vector
     points: list[Vector]
+    center: Vector
     lamps: list[Vector]
     windows: list[WindowPlace]
     stops: list[Stop]
@@ -140,7 +140,11 @@ def survey(
     # Two places for the whole capture, by few cameras: those of the paper's benchmarks.
     few, few_eyes = SeenSurface.of(caster, cameras)
     focus, eye = np.median(few.points, axis=0), few_eyes.mean(axis=0)
-    points = [_cleared(caster, place, _nearest(few_eyes, eye), up) for place in _points(caster, focus, eye, up)]
+    viewer, pair = _nearest(few_eyes, eye), _points(caster, focus, eye, up)
+    points = [_cleared(caster, pair[0], viewer, up)]
+    least = KEPT_DISTANCE_SHARE * float(np.linalg.norm(pair[1] - pair[0]))
+    points.append(_cleared(caster, pair[1], viewer, up, apart=(points[0], least)))
+    center = _cleared(caster, np.mean(pair, axis=0), viewer, up)
     stops = _stops(caster, seen, eyes, up)
     names = sorted(given, key=lambda name: (len(name), name))  # window_2 before window_10
     lamps = [np.asarray(given[name]["position"], float) for name in names if name.startswith("lamp")]
@@ -159,7 +163,7 @@ def survey(
     bare = all(window.in_free_space for window in windows) and seen.under_open_sky(up) >= LEAST_OPEN
     # A room whose ceiling was not scanned, in the middle of others, has nothing above and no outer wall.
     open_sky = bare and float(np.mean([_around(caster, stop, up)[2].hit.mean() for stop in stops])) < MOST_AROUND
-    return LightAnchors(up, focus, points, lamps, windows, stops, seen, made_up, open_sky)
+    return LightAnchors(up, focus, points, center, lamps, windows, stops, seen, made_up, open_sky)
 
 
 def survey_capture(caster: RayCaster, capture: Capture, anchors: Mapping[str, Any] | None = None) -> LightAnchors:
@@ -170,28 +174,6 @@ def survey_capture(caster: RayCaster, capture: Capture, anchors: Mapping[str, An
     """
     cameras = [capture.camera(i) for i in range(0, len(capture), -(-len(capture) // SURVEY_CAMERAS))]
     return survey(caster, cameras, capture.up, capture.anchors if anchors is None else anchors)
-
-
-def tell_made_up(name: str, anchors: LightAnchors, lights: Sequence[Light]) -> None:
-    """Log the places of a set-up's lights that are made up."""
-    centers = {
-        "lamp": [np.asarray(light.position) for light in lights if isinstance(light, PointLight)],
-        "window": [np.asarray(light.center) for light in lights if isinstance(light, RectLight)],
-    }
-    texts = []
-    for kind, places in anchors.made_up.items():
-        used = [p for p in places if any(np.linalg.norm(p - center) < SAME_PLACE for center in centers[kind])]
-        if used:
-            at = ", ".join("({:.1f}, {:.1f}, {:.1f})".format(*place) for place in used)
-            texts.append(f"{kind}{'s' * (len(used) > 1)} at {at}")
-    if anchors.open_sky and any(isinstance(light, SkyLight) for light in lights):
-        _log.warning(
-            "%s: no wall for a window was found, and little is above; light from outside comes from an open sky",
-            name,
-        )
-    if texts:
-        made_up = " and ".join(texts)
-        _log.warning("%s: made up: %s; if yours are elsewhere, give them with --photo-sources FILE", name, made_up)
 
 
 def _stops(caster: RayCaster, seen: SeenSurface, eyes: Float[np.ndarray, "c 3"], up: Vector) -> list[Stop]:
@@ -313,8 +295,14 @@ def _points(caster: RayCaster, focus: Vector, eye: Vector, up: Vector) -> list[V
     ]
 
 
-def _cleared(caster: RayCaster, lamp: Vector, viewer: Vector, up: Vector) -> Vector:
-    """Place for a lamp, moved within the viewer's sight, over a surface, as far as its clearance is worth it."""
+def _cleared(
+    caster: RayCaster, lamp: Vector, viewer: Vector, up: Vector, *, apart: tuple[Vector, float] | None = None
+) -> Vector:
+    """Place for a lamp, moved within the viewer's sight, over a surface, as far as its clearance is worth it.
+
+    Args:
+        apart: place of another lamp, and least distance from it, in metres.
+    """
     if _clearances(caster, lamp[None])[0] >= LAMP_CLEARANCE:
         return lamp
     ahead = level_direction(lamp - viewer, up)
@@ -322,6 +310,8 @@ def _cleared(caster: RayCaster, lamp: Vector, viewer: Vector, up: Vector) -> Vec
     places = lamp + shifts @ np.stack([ahead, np.cross(ahead, up), up])
     places = places[~caster.occluded(viewer, places - viewer, 1.0)]
     places = places[caster.cast(places, np.broadcast_to(-up, places.shape)).hit]
+    if apart is not None:
+        places = places[np.linalg.norm(places - apart[0], axis=1) >= apart[1]]
     places = np.vstack([lamp, places])
     missing = np.maximum(LAMP_CLEARANCE - _clearances(caster, places), 0.0)
     return places[np.argmin(np.linalg.norm(places - lamp, axis=1) + CLEARANCE_WEIGHT * missing)]

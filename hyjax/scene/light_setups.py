@@ -6,7 +6,8 @@ walk, whose places `hyjax.scene.light_places` finds by ray casting.
 
 import dataclasses
 import itertools
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -58,6 +59,9 @@ LEAST_PAPER_SHARE, MOST_DARK_SHARE = 0.02, 0.25
 """Share of the reference below which a picture is dark, and the most pictures that may be."""
 DARK_SETUPS = ("night-moon",)
 """Set-ups that are meant to be dark."""
+SAME_PLACE = 0.02
+"""Distance, in metres, of a light from the place that it was given."""
+_log = logging.getLogger(__name__)
 
 
 def noon_window(anchors: LightAnchors) -> LightSetup:
@@ -91,7 +95,7 @@ def night_moon(anchors: LightAnchors) -> LightSetup:
 
 def center_point(anchors: LightAnchors) -> LightSetup:
     """First benchmark of the paper: one bright point in the middle of the room."""
-    return LightSetup((PointLight(np.mean(anchors.points, axis=0), 9000.0, np.ones(3)),), PAPER_LUX)
+    return LightSetup((PointLight(anchors.center, 9000.0, np.ones(3)),), PAPER_LUX)
 
 
 def two_colors(anchors: LightAnchors) -> LightSetup:
@@ -150,6 +154,28 @@ def placed_setup(name: str, anchors: LightAnchors) -> LightSetup:
     if name not in EXPOSURES:
         setup, _ = _not_dark(setup, anchors.seen.lux(setup.lights), anchors)
     return _on_device(setup)
+
+
+def tell_made_up(name: str, anchors: LightAnchors, lights: Sequence[Light]) -> None:
+    """Log the places of a set-up's lights that are made up."""
+    centers = {
+        "lamp": [np.asarray(light.position) for light in lights if isinstance(light, PointLight)],
+        "window": [np.asarray(light.center) for light in lights if isinstance(light, RectLight)],
+    }
+    texts = []
+    for kind, places in anchors.made_up.items():
+        used = [p for p in places if any(np.linalg.norm(p - center) < SAME_PLACE for center in centers[kind])]
+        if used:
+            at = ", ".join("({:.1f}, {:.1f}, {:.1f})".format(*place) for place in used)
+            texts.append(f"{kind}{'s' * (len(used) > 1)} at {at}")
+    if anchors.open_sky and any(isinstance(light, SkyLight) for light in lights):
+        _log.warning(
+            "%s: no wall for a window was found, and little is above; light from outside comes from an open sky",
+            name,
+        )
+    if texts:
+        made_up = " and ".join(texts)
+        _log.warning("%s: made up: %s; if yours are elsewhere, give them with --photo-sources FILE", name, made_up)
 
 
 def _hue(kelvin: float) -> Float[Array, "3"]:

@@ -249,7 +249,7 @@ class Relighter:
         make = functools.partial(view_features, self.guide, view, self.configuration.light.sampling)
         features = make() if self._carried is None else self._carried.features(view, make)
         edges = configured_edges(self.configuration.light, self._light()[-1]) if self._divides else None
-        shaded = run_kept(with_dark_lights, shaded, count=self.dark_lights) if self.dark_lights else shaded
+        shaded = with_dark_lights(shaded, dark, run=run_kept) if (dark := self.dark_lights) else shaded
         yield "guide", LitFrame(view, shaded, features, self._on_device(edges))
 
     def _view(self, frame: Frame, gbuffer: GBuffer) -> View:

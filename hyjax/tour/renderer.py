@@ -28,7 +28,8 @@ from hyjax.light.photo_light import on_pixels
 from hyjax.light.relit import Relit
 from hyjax.light.setup import LightSetup
 from hyjax.light.shaded import Shaded
-from hyjax.scene.light_places import LightAnchors, survey_capture, tell_made_up
+from hyjax.scene.light_places import LightAnchors, survey_capture
+from hyjax.scene.light_setups import tell_made_up
 from hyjax.scene.relighter import LitFrame, Relighter, configured_light, refine, scaled
 from hyjax.scene.scene import Scene
 from hyjax.tour.arrangement import Arrangement

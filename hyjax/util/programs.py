@@ -116,10 +116,12 @@ class KeptFunction(Generic[P, T]):
         return self._ready[key], arrays
 
     def optimise(self, *args: Any) -> None:
-        """Compile the optimised program for arguments of these shapes, where programs are kept."""
+        """Compile the optimised program for arguments of these shapes, where programs are and it is not kept."""
         key, _ = self._key(args, {})
         if key is not None and (file := self._file(key)) is not None:
-            self._optimise(key, file, lambda: _lowered(self._function, self._name, args, {}))
+            with self._making.setdefault(key, threading.Lock()):
+                if not file.is_file():
+                    self._optimise(key, file, lambda: _lowered(self._function, self._name, args, {}))
 
     def _key(self, args: Any, kwargs: dict[str, Any]) -> tuple[tuple[Any, ...] | None, dict[str, Any]]:
         """Key of the program for arguments, none where they are traced, and the named ones that it takes."""

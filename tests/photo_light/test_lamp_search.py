@@ -109,7 +109,7 @@ def test_three_frames_that_agree_closely_find_a_globe_that_was_not_scanned(
         assert lamp.radius == pytest.approx(radius, rel=0.15)
 
 
-@pytest.mark.parametrize(("told", "radius"), [("", 0.08), (", radius: 0.2", 0.2)])
+@pytest.mark.parametrize(("told", "radius"), [("", 0.08), (", radius: 0.05", 0.05), (", radius: 0.2", 0.2)])
 def test_a_lamp_that_is_told_glows_as_it_is_seen(told: str, radius: float, box: RayCaster, tmp_path: Path) -> None:
     """At the place that was told; a radius that was told stays."""
     frames = [picture(eye, np.array([0.2, 2.5, 1.0])) for eye in EYES]
@@ -121,6 +121,18 @@ def test_a_lamp_that_is_told_glows_as_it_is_seen(told: str, radius: float, box: 
     near, other = find_photo_sources(ListedFrames(frames, UP), box, frames, file=file).lamps
     np.testing.assert_allclose(near.position, place)
     assert near.radius == pytest.approx(radius, rel=0.15) and other.radius == LAMP_RADIUS
+
+
+def test_two_near_lamps_glow_each_as_it_is_seen(box: RayCaster, tmp_path: Path) -> None:
+    frames = [picture(eye, np.array([0.2, 2.5, 1.0])) for eye in EYES]
+    places, radii = (LAMP, LAMP - np.array([0.34, 0.0, 0.0])), (0.06, 0.1)
+    for frame in frames:
+        for place, radius in zip(places, radii, strict=True):
+            paint(frame, place, radius)
+    file = tmp_path / "sources.yaml"
+    file.write_text("lamps: [" + ", ".join(f"{{position: {place.tolist()}}}" for place in places) + "]")
+    lamps = find_photo_sources(ListedFrames(frames, UP), box, frames, file=file).lamps
+    assert [lamp.radius for lamp in lamps] == pytest.approx(radii, rel=0.15)
 
 
 def test_three_frames_that_agree_loosely_find_no_lamp(box: RayCaster) -> None:

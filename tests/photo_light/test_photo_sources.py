@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from hyjax.data.builtin_room import RoomCapture, load_room
 from hyjax.geometry.raycast import RayCaster
 from hyjax.photo_light import source_search
 from hyjax.photo_light.hints import hinted_sources, is_lit, shows_light
 from hyjax.photo_light.source_search import find_photo_sources, search_sources
-from hyjax.photo_light.sources import LAMP_RADIUS, PhotoSources, PhotoWindow
+from hyjax.photo_light.sources import LAMP_RADIUS, PhotoSources, PhotoWindow, read_sources
 from hyjax.scene.scene import Scene
 from hyjax.util.errors import InputError
 
@@ -59,8 +60,8 @@ def rectangles(
     value: float = 0.5,
 ) -> list:
     seen = np.broadcast_to(np.asarray(frames), hole.shape)
-    burnt_frames, brightness = np.where(burnt, agreement * seen, 0), np.full(hole.shape, value)
-    return source_search._rectangles(source_search._Cells(hole, hole, burnt, wall, seen, burnt_frames, brightness))
+    agreements, brightness = np.where(burnt, agreement, 0.0), np.full(hole.shape, value)
+    return source_search._rectangles(source_search._Cells(hole, hole, burnt, wall, seen, agreements, brightness))
 
 
 @pytest.mark.parametrize(
@@ -74,7 +75,7 @@ def rectangles(
         ({"frames": 1}, 0),
     ],
 )
-def test_a_window_is_burnt_out_in_most_frames_and_ends_sharply(changed: dict[str, Any], found: int) -> None:
+def test_a_window_is_burnt_out_in_many_frames_and_ends_sharply(changed: dict[str, Any], found: int) -> None:
     hole = np.zeros((60, 60), bool)
     hole[20:45, 10:40] = True
     assert len(rectangles(hole, hole, ~hole, **changed)) == found
@@ -190,7 +191,8 @@ def test_a_file_is_taken_as_it_is(scene: Scene, tmp_path: Path) -> None:
         (f"windows: [{WINDOW.replace('[0.0, 2.95', '[-9.0, 2.95')}]", "off the scan's walls"),
         (f"windows: [{WINDOW}, {{name: window-1, {WINDOW[1:]}]", "given twice"),
         (f"windows: [{{name: ceiling, {WINDOW[1:]}]", "'ceiling' is that of what was not scanned"),
-        ("lamps: [{position: [99, 0, 0]}]", "outside the scan"),
+        ("lamps: [{position: [99, 0, 0]}]", "outside the scan and its cameras, from"),
+        ("lamps: [{position: [1, 1, 1], radius: 1.5}]", "'radius' must be a number of metres > 0, at most 1"),
         ("lamps: [{position: [1, 1]}]", "'position' must be three finite numbers"),
     ],
 )
@@ -200,6 +202,27 @@ def test_bad_files_are_refused_in_one_line(text: str, said: str, scene: Scene, t
     assert said in str(caught.value) and "\n" not in str(caught.value)
     with pytest.raises(InputError, match="no such file"):
         find(scene, file=tmp_path / "none.yaml")
+
+
+def test_a_lamp_may_hang_where_the_cameras_stood(tmp_path: Path) -> None:
+    """Above an open place nothing is scanned."""
+    ground = RayCaster(trimesh.creation.box(bounds=[[-2, -2, -0.1], [2, 2, 0.0]]))
+    file = tmp_path / "sources.yaml"
+    file.write_text("lamps: [{position: [0, 0, 1.5]}]")
+    up, eyes = np.array([0.0, 0.0, 1.0]), np.array([[0.0, -1.0, 1.6], [1.0, 0.0, 1.4]])
+    assert len(read_sources(file, up, ground, eyes).lamps) == 1
+    with pytest.raises(InputError, match="outside the scan and its cameras"):
+        read_sources(file, up, ground, eyes - [0.0, 0.0, 1.0])
+
+
+def test_a_window_of_a_file_on_a_plain_wall_is_doubted(
+    scene: Scene, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    given(scene, tmp_path, f"windows: [{WINDOW}]")
+    assert not caplog.records
+    beside = "{center: [0.0, 0.75, 1.52], normal: [1, 0, 0], width: 0.8, height: 0.8}"
+    given(scene, tmp_path, f"windows: [{beside}]")
+    assert "sources.yaml: window-1 is neither open nor burnt out in any picture" in caplog.text
 
 
 def test_a_capture_without_hints_has_none(room: RoomCapture) -> None:

@@ -17,9 +17,9 @@ from hyjax.light.setup import LightSetup
 from hyjax.metrics.dark_share import dark_share
 from hyjax.scene import exposure as exposure_module
 from hyjax.scene.exposure import bounded, exposed, warn_of_far, warn_of_missing
-from hyjax.scene.light_places import LightAnchors, WindowPlace, _points, survey, tell_made_up
+from hyjax.scene.light_places import LightAnchors, WindowPlace, _points, survey
 from hyjax.scene.light_response import Response, kinds_of, paleness
-from hyjax.scene.light_setups import EXPOSURES, SETUPS, _sunlit, named_setup, placed_setup
+from hyjax.scene.light_setups import EXPOSURES, SETUPS, _sunlit, named_setup, placed_setup, tell_made_up
 from hyjax.scene.relighter import Relighter
 from hyjax.scene.scene import Scene
 from hyjax.util.errors import InputError
@@ -238,6 +238,31 @@ def test_a_made_up_lamp_burns_no_spot_into_what_is_near(box: RayCaster) -> None:
     for lamp in (*stage.lamps, *stage.points):
         assert clearance(caster.mesh, lamp) > 0.8
         assert not caster.occluded(stage.stops[0].eye, (lamp - stage.stops[0].eye)[None], 1.0)[0]
+
+
+@pytest.mark.parametrize("aside", np.linspace(-0.8, 0.8, 5))
+@pytest.mark.parametrize("ahead", [-0.4, 0.4])
+def test_the_lamp_in_the_middle_is_in_no_furniture(aside: float, ahead: float) -> None:
+    """Nor between two that are clear of it."""
+    room = trimesh.creation.box(bounds=[[-2.5, -2.5, 0.0], [2.5, 2.5, 2.6]])
+    room.invert()
+    low = np.array([aside - 0.15, ahead - 0.15, 0.0])
+    column = trimesh.creation.box(bounds=[low, low + np.array([0.3, 0.3, 2.6])])
+    caster = RayCaster(trimesh.util.concatenate([room, column]))
+    stage = survey(caster, [box_camera((0.1, -2.2, 0.2), (0.0, 0.5, 0.5))], UP)
+    (lamp,) = placed_setup("center-point", stage).lights
+    assert clearance(caster.mesh, np.asarray(lamp.position)) > 0.6
+
+
+@pytest.mark.parametrize("side", [2.0, 2.6, 4.0])
+def test_two_lamps_stay_apart_in_small_rooms(side: float) -> None:
+    room = trimesh.creation.box(bounds=[[-side / 2, -side / 2, 0.0], [side / 2, side / 2, 2.4]])
+    room.invert()
+    stage = survey(RayCaster(room), [box_camera((0.1, 0.1 - side / 2, 1.2), (0.0, side / 4, 0.3))], UP)
+    pair = _points(stage.seen.caster, stage.focus, stage.stops[0].eye, UP)
+    least = 0.7 * np.linalg.norm(pair[1] - pair[0])
+    apart = np.linalg.norm(stage.points[1] - stage.points[0])
+    assert apart > 0.99 * least or (apart > 0.5 and np.allclose(stage.points[1], pair[1]))
 
 
 def test_a_made_up_lamp_stays_in_the_room() -> None:

@@ -23,6 +23,7 @@ from hyjax.relighting.each_light import relight_each
 from hyjax.relighting.run import relight_capture
 from hyjax.relighting.settings import RelightSettings
 from hyjax.util import programs
+from hyjax.util import quick_programs as quick_programs_module
 from hyjax.util.images import read_image
 from hyjax.util.quick_programs import optimise_programs, quick_programs
 
@@ -148,6 +149,7 @@ def test_a_first_frame_is_refined_by_programs_of_more_lights(
     lamps = [hyjax.PointLight(np.array([1.5 + k, 2.5, 2.0]), 600.0, np.array([1.0, 0.6, 0.3])) for k in range(3)]
     configuration, begin = Configuration(), functools.partial(ahead.begin_programs, scene, [0])
     settings = configuration, configured_guide(configuration.guide)
+    monkeypatch.setattr(programs, "_functions", {})
     monkeypatch.setattr(programs, "_folder", tmp_path)
     monkeypatch.setattr(ahead, "make_ready", lambda *call: None)
     few, own = hyjax.LightSetup.of(lamps[:1]), configuration.sampled()
@@ -181,6 +183,46 @@ def test_a_first_frame_is_refined_by_programs_of_more_lights(
             time.sleep(0.01)
         assert relighter.dark_lights == begin(few, *settings, video=False).count == 0, "its own are kept"
     assert all(programs.kept_function(function).is_kept(*arrays) for function, *arrays in dark.cascades)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", ["seen", "without surface"])
+def test_a_run_begins_with_dark_lights_and_drops_them(
+    first: str, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where its first frame sees no surface."""
+    settings, counts = hyjax.SceneSettings(capture=capture, size="160x120"), list[int]()
+    lamps = [hyjax.PointLight(np.array([1.5 + k, 2.5, 2.0]), 600.0, np.array([1.0, 0.6, 0.3])) for k in range(3)]
+    scene, configuration = hyjax.Scene.open(settings), Configuration()
+    own, lit = configuration.sampled(), hyjax.Relighter(scene, lamps, configuration).lit(0)
+    monkeypatch.setattr(programs, "_folder", tmp_path / "programs")
+    monkeypatch.setattr(programs, "_functions", {})
+    for call in cascade_calls(lit.shaded, lit.features, own.schedule, own.shadow_schedule):
+        programs.make_ready(*call)
+
+    def counted(relighter: hyjax.Relighter, frame: Any, **options: Any) -> Any:
+        counts.append(relighter.dark_lights)
+        return stages(relighter, frame, **options)
+
+    def dropped_at_once(task: Any) -> None:
+        assert quick_programs_module._optimiser is not None
+        task()
+
+    def gbuffer(relighter: hyjax.Relighter, camera: Any, **options: Any) -> Any:
+        made = seen(relighter, camera, **options)
+        blind = first != "seen" and not cameras
+        cameras.append(camera)
+        return dataclasses.replace(made, hit=jnp.zeros_like(made.hit)) if blind else made
+
+    stages, seen, cameras = hyjax.Relighter.stages, hyjax.Relighter.gbuffer, list[Any]()
+    monkeypatch.setattr(hyjax.Relighter, "stages", counted)
+    monkeypatch.setattr(hyjax.Relighter, "gbuffer", gbuffer)
+    monkeypatch.setattr(ahead, "submit", dropped_at_once)
+    run = relight_capture(
+        RelightSettings(settings, frames="0:3", out=tmp_path / "out", quiet=True), scene=scene, lights=lamps[:1]
+    )
+    assert len(run["frames"]) == (3 if first == "seen" else 2)
+    assert counts == ([2, 0, 0] if first == "seen" else [0, 0])
 
 
 def _shapes(function: Any, arrays: Any) -> tuple[Any, ...]:
