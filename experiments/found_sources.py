@@ -9,7 +9,7 @@ shines, and lamps within 35 cm of none that is lit. The search was made with see
 
 Takes a minute and a half on two cores, and five seconds more for each room that is not in the cache.
 
-Expect: nine of ten windows, and hardly a wrong one; more than half of the lamps, as some burn out what is behind them.
+Expect: nine of ten windows, and hardly a wrong one; more than half of the lamps: some burn out what is behind.
 """
 
 import dataclasses
