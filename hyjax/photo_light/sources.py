@@ -164,6 +164,13 @@ def source_entries(path: Path) -> tuple[list[_Window], list[_Lamp]]:
     lamps = [converted(f"{path}: lamp {i}", entry, _Lamp, FORMS) for i, entry in enumerate(lists.lamps)]
     if not windows and not lamps:
         raise InputError(f"{path}: names no window and no lamp")
+    names = [entry.name or f"window-{i + 1}" for i, entry in enumerate(windows)]
+    names += [entry.name or f"lamp-{i + 1}" for i, entry in enumerate(lamps)]
+    for name in names:
+        if name in UNSCANNED:
+            raise InputError(f"{path}: the name {name!r} is that of what was not scanned; choose another")
+        if names.count(name) > 1:
+            raise InputError(f"{path}: the name {name!r} is given twice")
     return windows, lamps
 
 
@@ -202,12 +209,6 @@ def read_sources(path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarr
                 f"{low.round(1).tolist()} to {high.round(1).tolist()} (metres, its axes)"
             )
         made.append(PhotoLamp(lamp.name or f"lamp-{i + 1}", place, lamp.radius or LAMP_RADIUS, np.zeros(0, int)))
-    names = [window.name for window in windows] + [lamp.name for lamp in made]
-    for name in names:
-        if name in UNSCANNED:
-            raise InputError(f"{path}: the name {name!r} is that of what was not scanned; choose another")
-        if names.count(name) > 1:
-            raise InputError(f"{path}: the name {name!r} is given twice")
     return PhotoSources(tuple(windows), tuple(made), "file")
 
 
