@@ -1,7 +1,7 @@
 """Search for lit lamps: small burnt-out blobs at which the rays of several frames meet inside the room."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -19,6 +19,9 @@ FEWEST_UNSCANNED_FRAMES = 5
 """Fewest frames that must agree on a lamp outside the scan, unless `FEWEST_FRAMES` agree closely."""
 LEAST_CLOSE_RADIUS = 0.05
 """Least radius, in metres, of a lamp outside the scan on which so few frames agree; less is a glint."""
+FREE_DISTANCE, LEAST_FREE_SHARE = 0.2, 0.7
+"""Distance, in metres, of the surface behind such a lamp, and least share of the frames in which it is that far:
+paper on a table is placed a little off it."""
 CLOSE_SHARE, CLOSE_RATIO = 0.25, 1.2
 """Distance of a ray from a lamp, over its radius, and ratio of two radii, up to which a frame agrees closely."""
 RAY_TOLERANCE = 0.1
@@ -59,7 +62,7 @@ def search_lamps(
             continue
         points, faces = _surface(sightings, place, radius)
         ceiling = bool(box[1][4] - box[0][4] @ place < 0.25)
-        closely = close >= FEWEST_FRAMES and radius >= LEAST_CLOSE_RADIUS
+        closely = close >= FEWEST_FRAMES and radius >= LEAST_CLOSE_RADIUS and _stands_free(sightings, place)
         if not len(points) and votes < FEWEST_UNSCANNED_FRAMES and not closely:
             continue
         if not ceiling and (is_flat(sightings, place, points) or _lies(caster, place, radius, up)):
@@ -201,9 +204,10 @@ def is_flat(sightings: Sequence[Sighting], place: Vector, burnt: Float[np.ndarra
     return float(np.sqrt(np.linalg.eigvalsh(centred.T @ centred / len(points))[0])) < LEAST_THICKNESS
 
 
-def _seen_lit(sightings: Sequence[Sighting], place: Vector, radius: float) -> float:
-    """Share of the frames with a free view of a place in which it is burnt out."""
-    votes = []
+def _views(
+    sightings: Sequence[Sighting], place: Vector, radius: float
+) -> Iterator[tuple[Sighting, int, int, float]]:
+    """Sightings that show a place large enough, with its row and column there, and its depth."""
     for s in sightings:
         (x, y), depth = s.frame.camera.project(place)
         k = s.frame.camera.intrinsics
@@ -212,8 +216,22 @@ def _seen_lit(sightings: Sequence[Sighting], place: Vector, radius: float) -> fl
         row, column = int(y / k.height * s.low.shape[0]), int(x / k.width * s.low.shape[1])
         if not (1 <= row < s.low.shape[0] - 1 and 1 <= column < s.low.shape[1] - 1):
             continue
-        if radius * k.fx / depth * s.low.shape[1] / k.width < 1.0:
-            continue  # too far to be seen
+        if radius * k.fx / depth * s.low.shape[1] / k.width >= 1.0:  # or it is too far to be seen
+            yield s, row, column, float(depth)
+
+
+def _stands_free(sightings: Sequence[Sighting], place: Vector) -> bool:
+    """Whether what was scanned lies well behind a place, in most frames."""
+    free = [
+        s.depth[row, column] > depth + FREE_DISTANCE for s, row, column, depth in _views(sightings, place, np.inf)
+    ]
+    return bool(free) and float(np.mean(free)) >= LEAST_FREE_SHARE
+
+
+def _seen_lit(sightings: Sequence[Sighting], place: Vector, radius: float) -> float:
+    """Share of the frames with a free view of a place in which it is burnt out."""
+    votes = []
+    for s, row, column, depth in _views(sightings, place, radius):
         if s.depth[row, column] < depth - 0.3:
             continue
         votes.append(bool(s.burnt[row - 1 : row + 2, column - 1 : column + 2].any()))

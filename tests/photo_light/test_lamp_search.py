@@ -135,6 +135,15 @@ def test_two_near_lamps_glow_each_as_it_is_seen(box: RayCaster, tmp_path: Path) 
     assert [lamp.radius for lamp in lamps] == pytest.approx(radii, rel=0.15)
 
 
+def test_three_frames_find_no_globe_close_before_a_surface(box: RayCaster) -> None:
+    """Paper on a table, placed a little off it."""
+    place = np.array([0.4, 2.84, 1.2])
+    frames = [picture(eye, np.array([0.2, 2.5, 1.0])) for eye in EYES[:3]]
+    for frame in frames:
+        paint(frame, place, 0.08)
+    assert all(lamp.radius == 0 for lamp in search_sources(box, frames, UP)[1])
+
+
 def test_three_frames_that_agree_loosely_find_no_lamp(box: RayCaster) -> None:
     frames = [picture(eye, np.array([0.2, 2.5, 1.0])) for eye in EYES[:3]]
     for frame, radius in zip(frames, (0.06, 0.08, 0.11), strict=True):
