@@ -14,6 +14,7 @@ Expect: nine of ten windows, and hardly a wrong one; more than half of the lamps
 
 import dataclasses
 import itertools
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,12 +27,14 @@ from experiments.command import RunConfig, Start, experiment, run
 from experiments.records import Row, of_kind
 from hyjax.data.capture import Frame
 from hyjax.data.truth_room import TruthCapture, load_truth_room
+from hyjax.photo_light.hints import hinted_windows
 from hyjax.photo_light.source_search import search_sources
 from hyjax.photo_light.sources import PhotoLamp, PhotoWindow
 from hyjax.scene.scene import Scene
 from hyjax.scene.settings import SceneSettings, parse_size
 from hyjax.util.contact_sheet import write_contact_sheet
 from hyjax.util.errors import InputError
+from hyjax.util.images import to_bytes
 
 KINDS = "both", "day", "lamps"
 """Lights of the photos."""
@@ -86,11 +89,9 @@ def _judged(
 ) -> list[tuple[str, str, Float[np.ndarray, "n 3"]]]:
     """Kind, verdict and points of each source that is there or was found."""
     light, anchors = capture.name.rpartition("-")[2], capture.anchors
-    known: dict[str, Any] = {
-        kind: [v for k, v in anchors.items() if k.startswith(kind)] for kind in ("window", "lamp")
-    }
-    panes = [] if light == "lamps" else [_window(place, capture) for place in known["window"]]
-    globes = [] if light == "day" else [np.asarray(place["position"], float) for place in known["lamp"]]
+    panes = () if light == "lamps" else hinted_windows(anchors, np.asarray(capture.up, np.float64))
+    places: list[Any] = [place["position"] for name, place in anchors.items() if name.startswith("lamp_")]
+    globes = [] if light == "day" else [np.asarray(place, np.float64) for place in places]
     judged = []
     for pane in panes:
         here = max([_overlap(pane, other) for other in windows], default=0.0) >= LEAST_OVERLAP
@@ -110,11 +111,6 @@ def _judged(
         if all(np.linalg.norm(globe - lamp.position) >= LAMP_DISTANCE for globe in globes):
             judged.append(("lamp", "wrong", lamp.position[None]))
     return judged
-
-
-def _window(place: dict[str, Any], capture: TruthCapture) -> PhotoWindow:
-    center, normal, up = (np.asarray(v, float) for v in (place["center"], place["normal"], capture.up))
-    return PhotoWindow.facing("", center, normal, up, float(place["width"]), float(place["height"]))
 
 
 def _seen(capture: TruthCapture, points: Float[np.ndarray, "n 3"]) -> bool:
@@ -145,7 +141,7 @@ def _overlap(a: PhotoWindow, b: PhotoWindow) -> float:
 
 def _drawn(frame: Frame, judged: list[tuple[str, str, Float[np.ndarray, "n 3"]]]) -> Float[np.ndarray, "h w 3"]:
     """Picture with the sources in it: outlines of windows, circles round lamps."""
-    image = Image.fromarray((255 * frame.image).astype(np.uint8))
+    image = Image.fromarray(to_bytes(frame.image))
     draw = ImageDraw.Draw(image)
     for kind, verdict, points in judged:
         places, depth = frame.camera.project(points)
@@ -159,7 +155,7 @@ def _drawn(frame: Frame, judged: list[tuple[str, str, Float[np.ndarray, "n 3"]]]
     return np.asarray(image, np.float32) / 255
 
 
-def blocks(rows: list[Row], folder: Any) -> list[Block]:
+def blocks(rows: list[Row], folder: Path) -> list[Block]:
     """Table by the light of the photos, and a sheet of each room."""
     rooms = of_kind(rows, "room")
     lines = []
