@@ -73,24 +73,26 @@ def optimise_programs() -> None:
             _optimiser = ThreadPoolExecutor(THREADS, thread_name_prefix="optimised programs")
 
 
-def submit(task: Callable[[], None]) -> None:
-    """Submit a task to the threads that optimise, if programs are being optimised."""
-    with contextlib.suppress(RuntimeError):  # the pool has just been shut down
-        if _optimiser is not None:
-            _optimiser.submit(task)
+def submit(task: Callable[[], None]) -> Future[None] | None:
+    """Submit a task to the threads that optimise; None, without running it, where no programs are optimised."""
+    pool = _optimiser  # another thread may let go of it
+    try:
+        return None if pool is None else pool.submit(task)
+    except RuntimeError:  # the pool has just been shut down
+        return None
 
 
 def submit_once(tasks: dict[object, Callable[[], None]], key: object) -> None:
     """Submit a program's optimisation, if programs are being optimised; cancelled, it comes back into `tasks`."""
-    pool = _optimiser
-    if pool is None or (task := tasks.pop(key, None)) is None:
+    if _optimiser is None or (task := tasks.pop(key, None)) is None:
         return
 
     def restore(future: Future[None]) -> None:
         if future.cancelled():
             tasks[key] = task
 
-    try:
-        pool.submit(task).add_done_callback(restore)
-    except RuntimeError:  # the pool has just been shut down
+    future = submit(task)
+    if future is None:
         tasks[key] = task
+    else:
+        future.add_done_callback(restore)
