@@ -24,6 +24,8 @@ BLOCK_POINTS = 1 << 15
 """Number of points at a time, to bound memory."""
 LAMP_CLEARANCE = 0.15
 """Distance around a lamp, in metres, where its own shade casts no shadow."""
+CEILING_DISTANCE = 0.35
+"""Distance, in metres, from the top of the scan up to which a lamp may be a ceiling's, which shines down."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,9 +50,10 @@ def make_basis(
     position: Float[np.ndarray, "p 3"],
     normal: Float[np.ndarray, "p 3"],
     sources: PhotoSources,
+    up: Float[np.ndarray, "3"],
 ) -> Basis:
     """Basis of all possible sources of a photo's light."""
-    starts = position + OFFSET * normal
+    starts, top = position + OFFSET * normal, float(np.quantile(caster.mesh.vertices @ up, 0.999))
     columns: list[np.ndarray] = []
     neighbours: list[np.ndarray] = []
     source: list[np.ndarray] = []
@@ -67,7 +70,8 @@ def make_basis(
     for window in sources.windows:
         add(window.name, window_light(caster, starts, normal, window.aperture), _grid_pairs(BINS[1], BINS[0]))
     for lamp in sources.lamps:
-        add(lamp.name, lamp_light(caster, starts, normal, lamp.position)[:, None], nothing)
+        downwards = up if lamp.position @ up > top - CEILING_DISTANCE else None
+        add(lamp.name, lamp_light(caster, starts, normal, lamp.position, downwards), nothing)
     walls = _wall_light(hits, len(caster.mesh.faces))
     for name, first, count in zip(UNSCANNED, (0, 4, 5), (4, 1, 1), strict=True):
         part = slice(first * CELLS**2, (first + count) * CELLS**2)
@@ -117,9 +121,16 @@ def window_light(
 
 
 def lamp_light(
-    caster: RayCaster, starts: Float[np.ndarray, "p 3"], normal: Float[np.ndarray, "p 3"], place: np.ndarray
-) -> Float[np.ndarray, "p"]:
-    """Illuminance by a small lamp that shines one lux at a metre all round."""
+    caster: RayCaster,
+    starts: Float[np.ndarray, "p 3"],
+    normal: Float[np.ndarray, "p 3"],
+    place: np.ndarray,
+    up: Float[np.ndarray, "3"] | None = None,
+) -> Float[np.ndarray, "p k"]:
+    """Illuminance by a small lamp that shines one lux at a metre all round; with `up` also by one like a panel.
+
+    The panel shines down by the cosine, two lux at a metre below it.
+    """
     to = np.asarray(place, np.float64) - starts
     squared = np.maximum(np.einsum("nk,nk->n", to, to), LAMP_CLEARANCE**2)
     distance = np.sqrt(squared)
@@ -129,7 +140,9 @@ def lamp_light(
     some = some[~caster.occluded(starts[some], to[some], reach)]
     light = np.zeros(len(starts))
     light[some] = cosine[some] / squared[some]
-    return light
+    if up is None:
+        return light[:, None]
+    return np.stack([light, light * 2 * np.maximum(to @ up, 0.0) / distance], axis=1)
 
 
 def _wall_light(hits: Int[np.ndarray, "r p"], first: int) -> Float[np.ndarray, "p m"]:

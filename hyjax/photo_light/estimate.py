@@ -104,7 +104,7 @@ def estimate_arrays(
     # All that needs no frame comes first: they may still be rendered.
     hits, position, normal = rays or trace_scan(caster, up, sources.windows, progress, closed)
     transport, count = _transport(caster, hits, position, normal), len(caster.arrays.vertices)
-    basis = make_basis(caster, hits, position, normal, sources)
+    basis = make_basis(caster, hits, position, normal, sources, up)
     if expect is not None:
         expect(_shapes(transport, len(basis.names)))
     shown = _shown(vertex_radiance(caster, read()))

@@ -47,14 +47,19 @@ DARK_VALUE, DARK_VALUE_OF_DISC = 0.75, 0.93
 
 
 def search_lamps(
-    caster: RayCaster, sightings: Sequence[Sighting], box: Box, windows: Sequence[PhotoWindow], up: Vector
-) -> tuple[PhotoLamp, ...]:
-    """Search for lamps on which several frames agree; rays of cameras that hardly moved meet anywhere."""
+    caster: RayCaster,
+    sightings: Sequence[Sighting],
+    box: Box,
+    windows: Sequence[PhotoWindow],
+    up: Vector,
+    known: Sequence[PhotoLamp] = (),
+) -> list[PhotoLamp]:
+    """Search for lamps beside known ones; rays of cameras that hardly moved meet anywhere."""
     origins = np.stack([s.frame.camera.origin for s in sightings])
     if np.linalg.norm(np.ptp(origins, axis=0)) < BASELINE:
-        return ()
+        return [*known]
     blobs = [blob for number, s in enumerate(sightings) for blob in blobs_of(number, s)]
-    lamps: list[PhotoLamp] = []
+    lamps = [*known]
     for place, radius, votes, close in _candidates(sightings, blobs):
         if not _inside(box, windows, place) or _seen_lit(sightings, place, radius) < 0.7:
             continue
@@ -73,7 +78,7 @@ def search_lamps(
             lamps.append(PhotoLamp("", place, radius, _surface(sightings, place, radius)[1]))
     if not lamps and not windows:
         lamps = [PhotoLamp("", place, 0.0, np.zeros(0, int)) for place in glowing_places(caster, sightings, up)]
-    return tuple(dataclasses.replace(lamp, name=f"lamp-{k + 1}") for k, lamp in enumerate(lamps[:MOST_LAMPS]))
+    return lamps[:MOST_LAMPS]
 
 
 def blobs_of(number: int, s: Sighting) -> list[Blob]:

@@ -58,6 +58,8 @@ LARGEST_VALUE_BESIDE = 0.85
 """Largest display value, in the median, of the wall within 15 cm of a window."""
 LARGEST_ASPECT = 10
 """Largest ratio of a window's sides; a longer patch is a sunlit strip of ground."""
+PANEL_DISTANCE = 0.05
+"""Distance, in metres, of a lamp from the ceiling in which it is a panel."""
 NEAR_LAMP = 0.35
 """Distance, in metres, up to which a lamp that is found is one that was told of."""
 _log = logging.getLogger(__name__)
@@ -72,8 +74,20 @@ def search_sources(
         return (), ()
     box = closing_box(caster.mesh, up, np.stack([s.frame.camera.origin for s in sightings]))
     windows = [window for wall in range(len(box[0])) for window in _windows_of(wall, box, sightings, up)]
-    named = tuple(dataclasses.replace(w, name=f"window-{i + 1}") for i, w in enumerate(windows))
-    return named, search_lamps(caster, sightings, box, named, up)
+    panels = [_panel(window) for window in windows if window.normal @ up < -0.5]
+    windows = [window for window in windows if window.normal @ up >= -0.5]
+    lamps = search_lamps(caster, sightings, box, windows, up, panels)
+    return (
+        tuple(dataclasses.replace(window, name=f"window-{k + 1}") for k, window in enumerate(windows)),
+        tuple(dataclasses.replace(lamp, name=f"lamp-{k + 1}") for k, lamp in enumerate(lamps)),
+    )
+
+
+def _panel(opening: PhotoWindow) -> PhotoLamp:
+    """Lamp in the place of an opening of the ceiling: panels are more frequent than windows there."""
+    reach = 0.5 * (np.linalg.norm(opening.right) + np.linalg.norm(opening.up))
+    place = opening.center + PANEL_DISTANCE * opening.normal
+    return PhotoLamp("", place, float(reach), np.zeros(0, int))
 
 
 def find_photo_sources(

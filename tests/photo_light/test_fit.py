@@ -50,7 +50,7 @@ class Lit:
         self.caster, self.count = RayCaster(self.mesh), len(self.mesh.vertices)
         hits, position, normal = trace(self.caster, enclose(self.caster, UP), [WINDOW.aperture], rays=128)
         self.position, self.normal = position, normal
-        self.basis = make_basis(self.caster, hits, position, normal, SOURCES)
+        self.basis = make_basis(self.caster, hits, position, normal, SOURCES, UP)
         place, facing = (jnp.asarray(a, jnp.float32) for a in (position, normal))
         self.transport = Transport(
             jnp.asarray(hits), jnp.asarray(self.mesh.faces, jnp.int32), place, facing, self.count
@@ -161,7 +161,7 @@ def test_a_lamp_throws_its_light_by_the_inverse_square(lit: Lit) -> None:
     place = np.array([0.0, 0.0, 0.5])
     sources = PhotoSources((), (PhotoLamp("lamp-1", place, 0.05, np.zeros(0, int)),), "file")
     hits = np.asarray(lit.transport.hits)
-    basis = make_basis(lit.caster, hits, lit.position, lit.normal, sources)
+    basis = make_basis(lit.caster, hits, lit.position, lit.normal, sources, UP)
     to = place - lit.position[: lit.count]
     distance = np.linalg.norm(to, axis=1)
     expected = np.maximum(np.einsum("nk,nk->n", to, lit.normal[: lit.count]), 0) / distance**3
