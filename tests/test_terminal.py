@@ -142,6 +142,11 @@ def test_help_beside_a_long_argument_comes_once(
             "invalid choice 'webb' for argument '--to'. Expected one of ('web', 'bench', 'stablehlo', 'iree', "
             "'onnx', 'litert', 'coreml') (did you mean 'web'?); see hyjax export --help",
         ),
+        (
+            ["relight", "--lihgts", "x", "--fram", "0"],
+            "Unrecognized options: --lihgts, x, --fram, 0; perhaps --lights for --lihgts; perhaps --frames for "
+            "--fram; see hyjax relight --help",
+        ),
         (["relight", "kitchen"], "kitchen: is no option; a capture is given as --capture kitchen"),
         (
             ["info", "--capture", "kitchen"],

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from hyjax.geometry.raycast import RayCaster
-from hyjax.photo_light.ceiling_lamps import BASELINE, Blob, ceiling_lamps, ceilings_of
+from hyjax.photo_light.ceiling_lamps import BASELINE, LEAST_SLOPE, Blob, ceiling_lamps, ceilings_of
 from hyjax.photo_light.glowing_places import glowing_places
 from hyjax.photo_light.sightings import Box, Sighting
 from hyjax.photo_light.sources import PhotoLamp, PhotoWindow, Vector
@@ -34,6 +34,12 @@ FEWEST_POINTS, SURROUNDINGS = 12, 0.2
 """Fewest burnt-out points for a lamp's thickness; for fewer, all points within `SURROUNDINGS` metres are taken."""
 LEAST_FOOT = 0.15
 """Least height, in metres, of a lamp's lower end above its support."""
+OVERHEAD_DISTANCE = 0.25
+"""Distance, in metres, from the ceiling up to which a lamp is one of it."""
+LARGEST_REACH = 1.0
+"""Largest distance, in metres, from the middle of a panel to its corner."""
+DRAWN_RADII = 1.5
+"""Distance from a lamp's middle, in its radii, up to which what is burnt out is drawn as part of it."""
 MOST_CANDIDATES = 20000
 MOST_LAMPS = 16
 LARGEST_SHARE = 0.05
@@ -66,7 +72,7 @@ def search_lamps(
         if any(np.linalg.norm(lamp.position - place) < lamp.radius + radius + RAY_TOLERANCE for lamp in lamps):
             continue
         points, faces = _surface(sightings, place, radius)
-        ceiling = bool(box[1][4] - box[0][4] @ place < 0.25)
+        ceiling = _overhead(box, place)
         closely = close >= FEWEST_FRAMES and radius >= LEAST_CLOSE_RADIUS and _stands_free(sightings, place)
         if not len(points) and votes < FEWEST_UNSCANNED_FRAMES and not closely:
             continue
@@ -78,7 +84,28 @@ def search_lamps(
             lamps.append(PhotoLamp("", place, radius, _surface(sightings, place, radius)[1]))
     if not lamps and not windows:
         lamps = [PhotoLamp("", place, 0.0, np.zeros(0, int)) for place in glowing_places(caster, sightings, up)]
-    return lamps[:MOST_LAMPS]
+    return [_spread(sightings, lamp, up) if _overhead(box, lamp.position) else lamp for lamp in lamps[:MOST_LAMPS]]
+
+
+def _overhead(box: Box, place: Vector) -> bool:
+    """Whether a place lies close under the ceiling, or above it."""
+    return bool(box[1][4] - box[0][4] @ place < OVERHEAD_DISTANCE)
+
+
+def _spread(sightings: Sequence[Sighting], lamp: PhotoLamp, up: Vector) -> PhotoLamp:
+    """Lamp of the ceiling as large as its burnt-out blobs are in its plane: panels are seen slant."""
+    reaches = []
+    for s, row, column, _ in _views(sightings, lamp.position, np.inf):
+        labels, _ = ndimage.label(s.burnt)
+        blob = np.unique(labels[row - 1 : row + 2, column - 1 : column + 2])
+        rays = s.rays[np.isin(labels, blob[blob > 0])]
+        rays = rays[rays @ up > LEAST_SLOPE]
+        if len(rays):
+            origin = s.frame.camera.origin
+            along = (lamp.position - origin) @ up / (rays @ up)
+            reaches.append(np.linalg.norm(origin + along[:, None] * rays - lamp.position, axis=-1).max())
+    reach = min(float(np.median(reaches)), LARGEST_REACH) if reaches else 0.0
+    return dataclasses.replace(lamp, radius=max(lamp.radius, reach / DRAWN_RADII))
 
 
 def blobs_of(number: int, s: Sighting) -> list[Blob]:

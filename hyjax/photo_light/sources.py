@@ -164,6 +164,9 @@ def source_entries(path: Path) -> tuple[list[_Window], list[_Lamp]]:
     lamps = [converted(f"{path}: lamp {i}", entry, _Lamp, FORMS) for i, entry in enumerate(lists.lamps)]
     if not windows and not lamps:
         raise InputError(f"{path}: names no window and no lamp")
+    for i, entry in enumerate(windows):
+        if not any(entry.normal):
+            raise InputError(f"{path}: window {i}: 'normal' must not be the zero vector")
     names = [entry.name or f"window-{i + 1}" for i, entry in enumerate(windows)]
     names += [entry.name or f"lamp-{i + 1}" for i, entry in enumerate(lamps)]
     for name in names:

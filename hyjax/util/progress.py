@@ -1,6 +1,7 @@
 """Progress bars: of a step by itself, or one bar for all steps of a command."""
 
 import contextlib
+import sys
 import threading
 from collections.abc import Iterable, Iterator, Sized
 from typing import Any, Generic, TypeVar
@@ -10,6 +11,8 @@ from tqdm import tqdm
 T = TypeVar("T")
 STEPS_FORMAT = "{desc} [{elapsed}]"
 """Form of a bar while the number of what comes in the end is not yet counted."""
+START_SECONDS = 1.0
+"""Seconds before a bar that goes to a file says that a command starts: what is refused by then stands alone."""
 _shared: "CommandBar | None" = None
 
 
@@ -22,7 +25,9 @@ class CommandBar:
 
     def __init__(self, description: str, unit: str) -> None:
         self._description, self._lock = description, threading.Lock()
-        self._bar = tqdm(total=0, desc="starting", unit=unit, bar_format=STEPS_FORMAT, leave=False)
+        watched = sys.stderr is not None and sys.stderr.isatty()
+        delay = 0.0 if watched else START_SECONDS
+        self._bar = tqdm(total=0, desc="starting", unit=unit, bar_format=STEPS_FORMAT, leave=False, delay=delay)
         self._steps: dict[int, str] = {}
 
     def show(self, step: object, text: str | None) -> None:
@@ -40,7 +45,7 @@ class CommandBar:
     def count(self, items: Iterable[T], total: int) -> Iterator[T]:
         """Items, counted from now on."""
         bar = self._bar
-        bar.bar_format, bar.leave = None, True
+        bar.bar_format, bar.leave, bar.delay = None, True, 0.0
         bar.set_description(self._description, refresh=False)
         bar.reset(total)
         for item in items:

@@ -117,11 +117,15 @@ def usage_error(box: str, command: str = "") -> str:
         line = f"{option}: need {kind}, got {given}" if kind else f"{option}: cannot be {given}"
     if choice := CHOICE_PATTERN.search(said):
         line += did_you_mean(choice[1].lower(), re.findall(r"'(.*?)'", choice[2]))
-    for text in more:
+    for text in sorted(more, key=lambda text: said.find((OPTION_PATTERN.findall(text) or [""])[0])):
+        options = OPTION_PATTERN.findall(text)
         if text.startswith("Perhaps you meant"):
             given, *_ = OPTION_PATTERN.findall(said) or [""]
-            likest = difflib.get_close_matches(given, OPTION_PATTERN.findall(text), 1, 0.0)[0]
+            likest = difflib.get_close_matches(given, options, 1, 0.0)[0]
             line += f"; perhaps {likest}" if likest != given else ", which other commands have"
+        elif text.startswith("Arguments similar to"):  # of several unknown options
+            likest = difflib.get_close_matches(options[0], options[1:], 1, 0.0)[0]
+            line += f"; perhaps {likest} for {options[0]}" if likest != options[0] else ""
         elif text.startswith("Available subcommands"):
             names = text.partition(":")[2].replace(",", " ").split()
             return f"{shown(command)}: no such command{did_you_mean(command, names)}; there are {', '.join(names)}"

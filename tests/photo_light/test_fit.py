@@ -157,16 +157,20 @@ def test_a_window_lights_by_its_form_factor(lit: Lit) -> None:
     assert found == pytest.approx(4 * quarter, rel=0.01)
 
 
-def test_a_lamp_throws_its_light_by_the_inverse_square(lit: Lit) -> None:
-    place = np.array([0.0, 0.0, 0.5])
+@pytest.mark.parametrize(("height", "shapes"), [(0.5, 1), (1.0, 2)])
+def test_a_lamp_throws_its_light_by_the_inverse_square(height: float, shapes: int, lit: Lit) -> None:
+    """Of the ceiling, downwards by the cosine, too."""
+    place = np.array([0.0, 0.0, height])
     sources = PhotoSources((), (PhotoLamp("lamp-1", place, 0.05, np.zeros(0, int)),), "file")
     hits = np.asarray(lit.transport.hits)
     basis = make_basis(lit.caster, hits, lit.position, lit.normal, sources, UP)
     to = place - lit.position[: lit.count]
     distance = np.linalg.norm(to, axis=1)
-    expected = np.maximum(np.einsum("nk,nk->n", to, lit.normal[: lit.count]), 0) / distance**3
-    close = np.abs(basis.light[: lit.count, 0] - expected) < 0.02 * expected + 0.01
-    assert close.mean() > 0.98 and basis.names[0] == "lamp-1"
+    around = np.maximum(np.einsum("nk,nk->n", to, lit.normal[: lit.count]), 0) / distance**3
+    down = around * 2 * np.maximum(to[:, 2], 0) / distance
+    assert basis.names[0] == "lamp-1" and (basis.source == 0).sum() == shapes
+    for column, expected in zip(basis.light[: lit.count, :shapes].T, (around, down), strict=False):
+        assert (np.abs(column - expected) < 0.02 * expected + 0.01).mean() > 0.98
 
 
 def test_pairs_lie_on_one_plane_and_blocks_are_held_out_whole(lit: Lit) -> None:

@@ -47,6 +47,42 @@ def paint(frame: Frame, place: np.ndarray, radius: float) -> None:
     frame.image[np.hypot(columns - x, rows - y) < radius * 250.0 / depth] = 1.0
 
 
+def paint_panel(frame: Frame, low: tuple[float, float], high: tuple[float, float], height: float) -> None:
+    """Burn out a level rectangle."""
+    rays, origin = frame.camera.rays(), frame.camera.origin
+    along = (height - origin[2]) / np.where(rays[..., 2] > 0.01, rays[..., 2], np.nan)
+    place = (origin + along[..., None] * rays)[..., :2]
+    frame.image[((place > low) & (place < high)).all(axis=-1)] = 1.0
+
+
+def test_a_lamp_of_the_ceiling_is_as_large_as_its_panel(box: RayCaster) -> None:
+    frames = [picture(eye, np.array([0.2, 2.5, 1.9])) for eye in EYES]
+    for frame in frames:
+        paint_panel(frame, (-0.3, 1.2), (0.3, 1.5), 2.5)
+        paint(frame, LAMP - np.array([0.0, 0.0, 0.9]), 0.08)  # a globe keeps its size
+    panel, globe = sorted(search_sources(box, frames, UP)[1], key=lambda lamp: -float(lamp.position[2]))
+    np.testing.assert_allclose(panel.position, [0.0, 1.35, 2.5], atol=0.12)
+    assert 1.5 * panel.radius == pytest.approx(np.hypot(0.3, 0.15), rel=0.25)
+    assert globe.radius == pytest.approx(0.08, rel=0.15)
+
+
+def test_what_shines_through_the_ceiling_is_a_lamp_and_through_a_wall_a_window(box: RayCaster) -> None:
+    mesh, frames = box.mesh.subdivide_to_size(0.2), [picture(eye, np.array([0.2, 2.5, 1.9])) for eye in EYES]
+    center = mesh.triangles_center
+    above = (np.abs(center[:, :2] - (0.0, 1.4)) < 0.5).all(axis=1) & (center[:, 2] > 2.4)
+    ahead = (np.abs(center[:, ::2] - (0.2, 1.2)) < 0.5).all(axis=1) & (center[:, 1] > 2.9)
+    low, high = mesh.triangles[above].reshape(-1, 3).min(axis=0), mesh.triangles[above].reshape(-1, 3).max(axis=0)
+    mesh.update_faces(~(above | ahead))
+    holed = RayCaster(mesh)
+    for frame in frames:
+        sighting = holed.cast(frame.camera.origin, frame.camera.rays().reshape(-1, 3))
+        frame.image[~sighting.hit.reshape(240, 320)] = 1.0
+    (window,), (lamp,) = search_sources(holed, frames, UP)
+    assert window.normal @ (0.0, -1.0, 0.0) > 0.9
+    np.testing.assert_allclose(lamp.position, (low + high) / 2, atol=0.2)  # seen slant
+    assert 1.5 * lamp.radius == pytest.approx(np.linalg.norm(high - low) / 2, rel=0.25)
+
+
 def test_rows_of_ceiling_lamps_are_found_where_two_frames_agree() -> None:
     lamps = np.array([[0.0, y, 2.4] for y in (3.0, 5.0, 7.0)])
     origins = [np.array([0.1, y, 1.5]) for y in (0.0, 1.1, 2.3, 3.7)]
