@@ -11,11 +11,6 @@ from hyjax.util.errors import InputError, did_you_mean, shown
 WORDS = {"`float`": "a number", "`int`": "a whole number", "`array`": "a list", "`bool`": "true or false"}
 """Words of msgspec, and plain ones."""
 
-LIGHTS_HINT = ": a file of new lights, which --lights takes"
-SOURCES_HINT = ": a file of what lit the photos, which --photo-sources takes"
-KEYS_OF_OTHER_FILES = {"lights": LIGHTS_HINT, "windows": SOURCES_HINT, "lamps": SOURCES_HINT}
-"""Hints at the option for a file, by the keys that tell which it is."""
-
 
 def check_keys(where: str, content: Any, known: Collection[str], required: Collection[str]) -> None:
     """Check that an entry is a mapping with these keys.
@@ -28,7 +23,7 @@ def check_keys(where: str, content: Any, known: Collection[str], required: Colle
         raise InputError(f"{where}: must be a mapping with {', '.join(known)}")
     for key in content:
         if key not in known:
-            hint = KEYS_OF_OTHER_FILES.get(str(key)) or did_you_mean(str(key), known)
+            hint = did_you_mean(str(key), known)
             raise InputError(f"{where}: unknown key {shown(key)}{hint}; there are {', '.join(known)}")
     for key in required:
         if key not in content:

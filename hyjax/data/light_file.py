@@ -106,6 +106,8 @@ def parse_lights(
         InputError: unknown kind or key (the nearest right one is named), a missing key, a value of the wrong form,
             a negative luminous flux.
     """
+    if isinstance(content, dict) and not {"windows", "lamps"}.isdisjoint(content):
+        raise InputError(f"{where}: names what lit the photos; give it by --photo-sources")
     values = _checked(where, content, FILE_KEYS)
     existing = _existing(where, values["existing"])
     if not values["lights"]:

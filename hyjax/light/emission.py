@@ -35,6 +35,8 @@ SOURCE_RADIUS = 0.1
 """Distance from a source, in metres, within which a new light makes it shine."""
 LAMP_DARK, LAMP_BRIGHT = 0.75, 1.09
 """Linear values of the photo between which a pixel of a lamp begins to shine."""
+LAMP_REACH = 1.5
+"""Distance from a lamp's middle, in its radii, up to which bright pixels belong to it."""
 CORE_EXPONENT = 4
 """Power of the share by which a pixel of a lamp shines, for what is brighter than white."""
 RIM_WIDTH = 640
@@ -158,7 +160,7 @@ def may_show(
     sides /= np.linalg.norm(sides, axis=1, keepdims=True)
     signs = np.array([(1, a, b) for a in (-1, 1) for b in (-1, 1)])
     corners = np.einsum("sk,nkd->nsd", signs, panes)
-    lit = [(p[None, :3], 1.5 * p[3] + BORDER_WIDTH) for p in lamps]
+    lit = [(p[None, :3], LAMP_REACH * p[3] + BORDER_WIDTH) for p in lamps]
     for points, radius in [(pane, BORDER_WIDTH) for pane in corners] + lit:
         inside = (points - pose[:3, 3]) @ pose[:3, :3] @ sides.T > -radius
         if inside.any(axis=0).all():
@@ -249,7 +251,7 @@ def source_pixels(
         toward = jnp.stack(place) - pose[:3, 3]
         along = dot(toward, ray) / dot(ray, ray)
         away = jnp.sqrt(jnp.maximum(dot(toward, toward) - along**2 * dot(ray, ray), 1e-12))
-        cover = jnp.clip((1.5 * radius - away) / (pixel * jnp.maximum(along, 1e-3)) + 0.5, 0.0, 1.0)
+        cover = jnp.clip((LAMP_REACH * radius - away) / (pixel * jnp.maximum(along, 1e-3)) + 0.5, 0.0, 1.0)
         cover *= (along > 0) & (depth > along - 2 * radius - PANE_SLACK)
         shares.append(cover * ramp(brightness, LAMP_DARK, LAMP_BRIGHT))
     for k, share in enumerate(shares):

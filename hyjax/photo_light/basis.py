@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import CELLS, OFFSET
 from hyjax.light.kinds import Aperture
+from hyjax.photo_light.ceiling_lamps import CEILING_DISTANCE, scan_top
 from hyjax.photo_light.sources import UNSCANNED, PhotoSources
 from hyjax.util.vectors import unit
 
@@ -24,8 +25,6 @@ BLOCK_POINTS = 1 << 15
 """Number of points at a time, to bound memory."""
 LAMP_CLEARANCE = 0.15
 """Distance around a lamp, in metres, where its own shade casts no shadow."""
-CEILING_DISTANCE = 0.35
-"""Distance, in metres, from the top of the scan up to which a lamp may be a ceiling's, which shines down."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +52,7 @@ def make_basis(
     up: Float[np.ndarray, "3"],
 ) -> Basis:
     """Basis of all possible sources of a photo's light."""
-    starts, top = position + OFFSET * normal, float(np.quantile(caster.mesh.vertices @ up, 0.999))
+    starts = position + OFFSET * normal
     columns: list[np.ndarray] = []
     neighbours: list[np.ndarray] = []
     source: list[np.ndarray] = []
@@ -70,8 +69,8 @@ def make_basis(
     for window in sources.windows:
         add(window.name, window_light(caster, starts, normal, window.aperture), _grid_pairs(BINS[1], BINS[0]))
     for lamp in sources.lamps:
-        downwards = up if lamp.position @ up > top - CEILING_DISTANCE else None
-        add(lamp.name, lamp_light(caster, starts, normal, lamp.position, downwards), nothing)
+        of_ceiling = lamp.position @ up > scan_top(caster, up) - CEILING_DISTANCE
+        add(lamp.name, lamp_light(caster, starts, normal, lamp.position, up if of_ceiling else None), nothing)
     walls = _wall_light(hits, len(caster.mesh.faces))
     for name, first, count in zip(UNSCANNED, (0, 4, 5), (4, 1, 1), strict=True):
         part = slice(first * CELLS**2, (first + count) * CELLS**2)
@@ -127,9 +126,9 @@ def lamp_light(
     place: np.ndarray,
     up: Float[np.ndarray, "3"] | None = None,
 ) -> Float[np.ndarray, "p k"]:
-    """Illuminance by a small lamp that shines one lux at a metre all round; with `up` also by one like a panel.
+    """Illuminance by a small lamp that shines one lux at a metre all round.
 
-    The panel shines down by the cosine, two lux at a metre below it.
+    With `up` also by a panel, which shines down by the cosine, two lux at a metre below: as much light in all.
     """
     to = np.asarray(place, np.float64) - starts
     squared = np.maximum(np.einsum("nk,nk->n", to, to), LAMP_CLEARANCE**2)

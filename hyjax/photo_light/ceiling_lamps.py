@@ -21,6 +21,8 @@ FARTHEST_LAMP = 6.0
 """Largest distance, in metres, of a ceiling lamp from the camera."""
 HEIGHT_STEP, HEIGHT_SLACK = 0.02, 0.3
 """Step of the tried heights, and their reach beyond the scan's, in metres."""
+CEILING_DISTANCE = 0.25
+"""Distance, in metres, below a ceiling within which a lamp belongs to it."""
 SAME_PLACE = 0.15
 """Largest distance, in metres, between sightings of one lamp."""
 FEWEST_FRAMES = 2
@@ -44,11 +46,15 @@ class Blob:
     radius: float
 
 
+def scan_top(caster: RayCaster, up: Vector) -> float:
+    """Height of the highest of a scan."""
+    return float(np.quantile(np.asarray(caster.arrays.vertices) @ up, 0.999))
+
+
 def ceilings_of(caster: RayCaster, box: Box) -> Float[np.ndarray, "n"]:
     """Heights at which the ceiling of a scan may be."""
     up = box[0][4]
-    top = float(np.quantile(np.asarray(caster.arrays.vertices) @ up, 0.999))
-    low, high = sorted((float(box[1][4]), top))
+    low, high = sorted((float(box[1][4]), scan_top(caster, up)))
     return np.arange(low - HEIGHT_SLACK / 2, high + HEIGHT_SLACK, HEIGHT_STEP)
 
 

@@ -37,7 +37,7 @@ def hinted_sources(
         if name.startswith("lamp_"):
             position = np.asarray(place["position"], float)
             if is_lit(position, caster, frames):
-                lamps.append(PhotoLamp(spoken(name), position, LAMP_RADIUS, np.zeros(0, int)))
+                lamps.append(PhotoLamp(spoken(name), position, LAMP_RADIUS))
     return PhotoSources(windows, tuple(lamps), "capture" if windows or lamps else "none")
 
 

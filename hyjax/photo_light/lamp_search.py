@@ -4,11 +4,19 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from hyjax.geometry.raycast import RayCaster
-from hyjax.photo_light.ceiling_lamps import BASELINE, LEAST_SLOPE, Blob, ceiling_lamps, ceilings_of
+from hyjax.light.emission import LAMP_REACH
+from hyjax.photo_light.ceiling_lamps import (
+    BASELINE,
+    CEILING_DISTANCE,
+    LEAST_SLOPE,
+    Blob,
+    ceiling_lamps,
+    ceilings_of,
+)
 from hyjax.photo_light.glowing_places import glowing_places
 from hyjax.photo_light.sightings import Box, Sighting
 from hyjax.photo_light.sources import PhotoLamp, PhotoWindow, Vector
@@ -34,12 +42,10 @@ FEWEST_POINTS, SURROUNDINGS = 12, 0.2
 """Fewest burnt-out points for a lamp's thickness; for fewer, all points within `SURROUNDINGS` metres are taken."""
 LEAST_FOOT = 0.15
 """Least height, in metres, of a lamp's lower end above its support."""
-OVERHEAD_DISTANCE = 0.25
-"""Distance, in metres, from the ceiling up to which a lamp is one of it."""
 LARGEST_REACH = 1.0
 """Largest distance, in metres, from the middle of a panel to its corner."""
-DRAWN_RADII = 1.5
-"""Distance from a lamp's middle, in its radii, up to which what is burnt out is drawn as part of it."""
+LARGEST_HEIGHT_OF_FLAT = 0.8
+"""Largest ratio of rows to columns of a flat lamp's blob: it is seen slant, and a globe as a disc."""
 MOST_CANDIDATES = 20000
 MOST_LAMPS = 16
 LARGEST_SHARE = 0.05
@@ -58,54 +64,61 @@ def search_lamps(
     box: Box,
     windows: Sequence[PhotoWindow],
     up: Vector,
-    known: Sequence[PhotoLamp] = (),
+    panels: Sequence[PhotoLamp],
 ) -> list[PhotoLamp]:
-    """Search for lamps beside known ones; rays of cameras that hardly moved meet anywhere."""
+    """Search for lamps beside panels, all without names; rays of cameras that hardly moved meet anywhere."""
     origins = np.stack([s.frame.camera.origin for s in sightings])
     if np.linalg.norm(np.ptp(origins, axis=0)) < BASELINE:
-        return [*known]
+        return [*panels]
     blobs = [blob for number, s in enumerate(sightings) for blob in blobs_of(number, s)]
-    lamps = [*known]
+    lamps = [*panels]
     for place, radius, votes, close in _candidates(sightings, blobs):
         if not _inside(box, windows, place) or _seen_lit(sightings, place, radius) < 0.7:
             continue
         if any(np.linalg.norm(lamp.position - place) < lamp.radius + radius + RAY_TOLERANCE for lamp in lamps):
             continue
-        points, faces = _surface(sightings, place, radius)
+        points = _surface(sightings, place, radius)
         ceiling = _overhead(box, place)
         closely = close >= FEWEST_FRAMES and radius >= LEAST_CLOSE_RADIUS and _stands_free(sightings, place)
         if not len(points) and votes < FEWEST_UNSCANNED_FRAMES and not closely:
             continue
         if not ceiling and (is_flat(sightings, place, points) or _lies(caster, place, radius, up)):
             continue
-        lamps.append(PhotoLamp("", place, radius, faces))
+        lamps.append(PhotoLamp("", place, radius))
     for place, radius in ceiling_lamps(list(origins), blobs, up, ceilings_of(caster, box)):
-        if all(np.linalg.norm(lamp.position - place) > LARGEST_RADIUS for lamp in lamps):
-            lamps.append(PhotoLamp("", place, radius, _surface(sightings, place, radius)[1]))
+        away = [float(np.linalg.norm(lamp.position - place)) for lamp in lamps]
+        if all(d > max(LARGEST_RADIUS, LAMP_REACH * lamp.radius) for d, lamp in zip(away, lamps, strict=True)):
+            lamps.append(PhotoLamp("", place, radius))
     if not lamps and not windows:
-        lamps = [PhotoLamp("", place, 0.0, np.zeros(0, int)) for place in glowing_places(caster, sightings, up)]
-    return [_spread(sightings, lamp, up) if _overhead(box, lamp.position) else lamp for lamp in lamps[:MOST_LAMPS]]
+        lamps = [PhotoLamp("", place, 0.0) for place in glowing_places(caster, sightings, up)]
+    return [
+        _as_wide_as_seen(sightings, lamp, up) if lamp.radius > 0 and _overhead(box, lamp.position) else lamp
+        for lamp in lamps[:MOST_LAMPS]
+    ]
 
 
 def _overhead(box: Box, place: Vector) -> bool:
     """Whether a place lies close under the ceiling, or above it."""
-    return bool(box[1][4] - box[0][4] @ place < OVERHEAD_DISTANCE)
+    return bool(box[1][4] - box[0][4] @ place < CEILING_DISTANCE)
 
 
-def _spread(sightings: Sequence[Sighting], lamp: PhotoLamp, up: Vector) -> PhotoLamp:
-    """Lamp of the ceiling as large as its burnt-out blobs are in its plane: panels are seen slant."""
+def _as_wide_as_seen(sightings: Sequence[Sighting], lamp: PhotoLamp, up: Vector) -> PhotoLamp:
+    """Flat lamp of the ceiling with the reach of its burnt-out blobs in its plane; a round one as it is."""
     reaches = []
-    for s, row, column, _ in _views(sightings, lamp.position, np.inf):
+    for s, row, column, depth in _views(sightings, lamp.position, np.inf):
         labels, _ = ndimage.label(s.burnt)
-        blob = np.unique(labels[row - 1 : row + 2, column - 1 : column + 2])
-        rays = s.rays[np.isin(labels, blob[blob > 0])]
-        rays = rays[rays @ up > LEAST_SLOPE]
-        if len(rays):
-            origin = s.frame.camera.origin
-            along = (lamp.position - origin) @ up / (rays @ up)
-            reaches.append(np.linalg.norm(origin + along[:, None] * rays - lamp.position, axis=-1).max())
+        nearest = labels[row - 1 : row + 2, column - 1 : column + 2].max()
+        part = labels == nearest
+        if nearest == 0 or part.sum() > LARGEST_SHARE * part.size or s.depth[row, column] < depth - 0.3:
+            continue
+        rows, columns = np.nonzero(part)
+        toward, origin = s.rays[rows, columns], s.frame.camera.origin
+        along = (lamp.position - origin) @ up / (toward @ up)
+        slope = np.min(toward @ up / np.linalg.norm(toward, axis=-1))
+        if slope > LEAST_SLOPE and np.ptp(rows) + 1 < LARGEST_HEIGHT_OF_FLAT * (np.ptp(columns) + 1):
+            reaches.append(np.linalg.norm(origin + along[:, None] * toward - lamp.position, axis=-1).max())
     reach = min(float(np.median(reaches)), LARGEST_REACH) if reaches else 0.0
-    return dataclasses.replace(lamp, radius=max(lamp.radius, reach / DRAWN_RADII))
+    return dataclasses.replace(lamp, radius=max(lamp.radius, reach / LAMP_REACH))
 
 
 def blobs_of(number: int, s: Sighting) -> list[Blob]:
@@ -207,18 +220,15 @@ def _lies(caster: RayCaster, place: Vector, radius: float, up: Vector) -> bool:
     return float(np.sort(down)[len(down) // 3]) < above + radius + LEAST_FOOT
 
 
-def _surface(
-    sightings: Sequence[Sighting], place: Vector, radius: float
-) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "f"]]:
-    """Scanned points about a lamp that are burnt out, and the triangles that they lie on."""
-    points, faces = [], []
+def _surface(sightings: Sequence[Sighting], place: Vector, radius: float) -> Float[np.ndarray, "n 3"]:
+    """Scanned points about a lamp that are burnt out."""
+    points = []
     for s in sightings:
         chosen = s.burnt & (s.face >= 0)
         at = s.frame.camera.origin + s.rays[chosen] * s.depth[chosen][:, None]
         near = np.linalg.norm(at - place, axis=-1) < max(1.6 * radius, 0.08)
         points.append(at[near])
-        faces.append(s.face[chosen][near])
-    return np.concatenate(points), np.unique(np.concatenate(faces))
+    return np.concatenate(points)
 
 
 def is_flat(sightings: Sequence[Sighting], place: Vector, burnt: Float[np.ndarray, "n 3"]) -> bool:

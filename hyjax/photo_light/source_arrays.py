@@ -15,20 +15,17 @@ def sources_to_arrays(sources: PhotoSources) -> Arrays:
         "windows": np.array([(w.center, w.right, w.up, w.normal) for w in windows], float).reshape(-1, 4, 3),
         "lamp_names": np.array([lamp.name for lamp in lamps], str),
         "lamps": np.array([(*lamp.position, lamp.radius) for lamp in lamps], float).reshape(-1, 4),
-        "lamp_faces": np.concatenate([np.zeros(0, int), *(lamp.faces for lamp in lamps)]),
-        "lamp_of_face": np.repeat(np.arange(len(lamps)), [len(lamp.faces) for lamp in lamps]),
     }
 
 
 def sources_from_arrays(arrays: Arrays) -> PhotoSources:
     """Sources from the arrays of `sources_to_arrays`."""
-    faces, lamp_of_face = arrays["lamp_faces"], arrays["lamp_of_face"]
     windows = tuple(
         PhotoWindow(str(name), *sides)
         for name, sides in zip(arrays["window_names"], arrays["windows"], strict=True)
     )
     lamps = tuple(
-        PhotoLamp(str(name), place[:3], float(place[3]), faces[lamp_of_face == number])
-        for number, (name, place) in enumerate(zip(arrays["lamp_names"], arrays["lamps"], strict=True))
+        PhotoLamp(str(name), place[:3], float(place[3]))
+        for name, place in zip(arrays["lamp_names"], arrays["lamps"], strict=True)
     )
     return PhotoSources(windows, lamps, arrays["origin"].item())

@@ -1,11 +1,12 @@
 """Search for the windows and lamps that lit photographs, in the photographs.
 
-A window is a hole of the scan in a wall or the ceiling, a good part of which is burnt out in two of five frames
-that see it, with some scanned wall around it that is not: a lamp before a hole burns another part in each frame, a
-glow fades slowly. Where most of it was scanned, a tenth is open at least, and the wall around is darker.
-A lamp is a small burnt-out blob inside the room at which the rays of several frames meet, unless the scan is flat
-there: a sheet of paper; or one overhead on which two frames agree (`ceiling_lamps`); or, in dark pictures, what all
-their burnt-out parts share (`glowing_places`). Of what was not scanned, more frames must agree, or agree closely.
+A window is a hole of the scan in a wall, a good part of which is burnt out in two of five frames that see it, with
+some scanned wall around it that is not: a lamp before a hole burns another part in each frame, a glow fades slowly.
+Where most of it was scanned, a tenth is open at least, and the wall around is darker.
+A lamp is such a hole in the ceiling, a panel, unless it is large; or a small burnt-out blob inside the room at
+which the rays of several frames meet, unless the scan is flat there: a sheet of paper; or one overhead on which two
+frames agree (`ceiling_lamps`); or, in dark pictures, what all their burnt-out parts share (`glowing_places`). Of
+what was not scanned, more frames must agree, or agree closely.
 """
 
 import dataclasses
@@ -19,8 +20,9 @@ from scipy import ndimage
 
 from hyjax.data.capture import Capture, Frame
 from hyjax.geometry.raycast import RayCaster
+from hyjax.light.emission import LAMP_REACH
 from hyjax.photo_light.hints import hinted_sources, shows_light
-from hyjax.photo_light.lamp_search import search_lamps
+from hyjax.photo_light.lamp_search import LARGEST_REACH, search_lamps
 from hyjax.photo_light.sightings import Box, Sighting, closing_box, exits, sight
 from hyjax.photo_light.sources import (
     SATURATED_VALUE,
@@ -59,7 +61,7 @@ LARGEST_VALUE_BESIDE = 0.85
 LARGEST_ASPECT = 10
 """Largest ratio of a window's sides; a longer patch is a sunlit strip of ground."""
 PANEL_DISTANCE = 0.05
-"""Distance, in metres, of a lamp from the ceiling in which it is a panel."""
+"""Distance, in metres, of a panel's light below its ceiling."""
 NEAR_LAMP = 0.35
 """Distance, in metres, up to which a lamp that is found is one that was told of."""
 _log = logging.getLogger(__name__)
@@ -73,9 +75,10 @@ def search_sources(
     if not sightings or np.mean([s.burnt.mean() for s in sightings]) > MOST_SATURATED_SHARE:
         return (), ()
     box = closing_box(caster.mesh, up, np.stack([s.frame.camera.origin for s in sightings]))
-    windows = [window for wall in range(len(box[0])) for window in _windows_of(wall, box, sightings, up)]
-    panels = [_panel(window) for window in windows if window.normal @ up < -0.5]
-    windows = [window for window in windows if window.normal @ up >= -0.5]
+    *walls, overhead = (_windows_of(wall, box, sightings, up) for wall in range(len(box[0])))
+    large = [opening for opening in overhead if _reach(opening) > LARGEST_REACH]
+    windows = [window for wall in (*walls, large) for window in wall]
+    panels = [_panel(opening) for opening in overhead if _reach(opening) <= LARGEST_REACH]
     lamps = search_lamps(caster, sightings, box, windows, up, panels)
     return (
         tuple(dataclasses.replace(window, name=f"window-{k + 1}") for k, window in enumerate(windows)),
@@ -83,11 +86,14 @@ def search_sources(
     )
 
 
+def _reach(opening: PhotoWindow) -> float:
+    """Distance from the middle of an opening to its corners."""
+    return float(np.linalg.norm(opening.right + opening.up))
+
+
 def _panel(opening: PhotoWindow) -> PhotoLamp:
-    """Lamp in the place of an opening of the ceiling: panels are more frequent than windows there."""
-    reach = 0.5 * (np.linalg.norm(opening.right) + np.linalg.norm(opening.up))
-    place = opening.center + PANEL_DISTANCE * opening.normal
-    return PhotoLamp("", place, float(reach), np.zeros(0, int))
+    """Lamp in the place of a small opening of the ceiling: panels are more frequent than windows there."""
+    return PhotoLamp("", opening.center + PANEL_DISTANCE * opening.normal, _reach(opening) / LAMP_REACH)
 
 
 def find_photo_sources(
@@ -129,7 +135,7 @@ def _as_seen(
         away = [float(np.linalg.norm(seen.position - lamps[number].position)) for seen in found]
         seen = found[int(np.argmin(away))]
         if min(away) < NEAR_LAMP:
-            lamps[number] = dataclasses.replace(lamps[number], radius=seen.radius, faces=seen.faces)
+            lamps[number] = dataclasses.replace(lamps[number], radius=seen.radius)
     return dataclasses.replace(sources, lamps=tuple(lamps))
 
 

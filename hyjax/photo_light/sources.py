@@ -21,7 +21,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from hyjax.data.hand_written import converted
 from hyjax.geometry.raycast import RayCaster
@@ -44,7 +44,7 @@ LAMP_RADIUS = 0.05
 
 @dataclasses.dataclass(frozen=True)
 class PhotoWindow:
-    """Window, or panel, that lit the photographs.
+    """Window that lit the photographs.
 
     Attributes:
         name: unique among the sources.
@@ -93,13 +93,11 @@ class PhotoLamp:
         name: unique among the sources.
         position: of its middle.
         radius: of what glows, in metres; 0 where its form is unknown, and it is not drawn.
-        faces: triangles of the scan that glow; none where it was not scanned.
     """
 
     name: str
     position: Vector
     radius: float
-    faces: Int[np.ndarray, "f"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,7 +157,10 @@ def source_entries(path: Path) -> tuple[list[_Window], list[_Lamp]]:
     Raises:
         InputError: no such file, or malformed.
     """
-    lists = converted(str(path), read_yaml(path), _SourcesFile, FORMS)
+    content = read_yaml(path)
+    if isinstance(content, dict) and "lights" in content:
+        raise InputError(f"{path}: names new lights; give it by --lights")
+    lists = converted(str(path), content, _SourcesFile, FORMS)
     windows = [converted(f"{path}: window {i}", entry, _Window, FORMS) for i, entry in enumerate(lists.windows)]
     lamps = [converted(f"{path}: lamp {i}", entry, _Lamp, FORMS) for i, entry in enumerate(lists.lamps)]
     if not windows and not lamps:
@@ -211,7 +212,7 @@ def read_sources(path: Path, up: Vector, caster: RayCaster, eyes: Float[np.ndarr
                 f"{path}: lamp {i}: position {list(lamp.position)} lies outside the scan and its cameras, from "
                 f"{low.round(1).tolist()} to {high.round(1).tolist()} (metres, its axes)"
             )
-        made.append(PhotoLamp(lamp.name or f"lamp-{i + 1}", place, lamp.radius or LAMP_RADIUS, np.zeros(0, int)))
+        made.append(PhotoLamp(lamp.name or f"lamp-{i + 1}", place, lamp.radius or LAMP_RADIUS))
     return PhotoSources(tuple(windows), tuple(made), "file")
 
 

@@ -1,7 +1,6 @@
 """Progress bars: of a step by itself, or one bar for all steps of a command."""
 
 import contextlib
-import sys
 import threading
 from collections.abc import Iterable, Iterator, Sized
 from typing import Any, Generic, TypeVar
@@ -12,7 +11,7 @@ T = TypeVar("T")
 STEPS_FORMAT = "{desc} [{elapsed}]"
 """Form of a bar while the number of what comes in the end is not yet counted."""
 START_SECONDS = 1.0
-"""Seconds before a bar that goes to a file says that a command starts: what is refused by then stands alone."""
+"""Least seconds before the first state of a bar that goes to a file: what is refused by then stands alone."""
 _shared: "CommandBar | None" = None
 
 
@@ -25,9 +24,12 @@ class CommandBar:
 
     def __init__(self, description: str, unit: str) -> None:
         self._description, self._lock = description, threading.Lock()
-        watched = sys.stderr is not None and sys.stderr.isatty()
-        delay = 0.0 if watched else START_SECONDS
-        self._bar = tqdm(total=0, desc="starting", unit=unit, bar_format=STEPS_FORMAT, leave=False, delay=delay)
+        self._bar = tqdm(
+            total=0, desc="starting", unit=unit, bar_format=STEPS_FORMAT, leave=False, delay=START_SECONDS
+        )
+        if self._bar.mininterval < 1:  # it is watched
+            self._bar.delay = 0.0
+            self._bar.refresh()
         self._steps: dict[int, str] = {}
 
     def show(self, step: object, text: str | None) -> None:

@@ -88,7 +88,9 @@ def write_above_bars(line: str) -> None:
     if sys.stderr.isatty():
         tqdm.write(line, file=sys.stderr)
     else:
-        print("\n" * bool(getattr(tqdm, "_instances", ())) + line, file=sys.stderr)
+        bars = getattr(tqdm, "_instances", ())
+        begun = any(bar.delay <= 0 or bar.last_print_t > bar.start_t for bar in bars)
+        print("\n" * begun + line, file=sys.stderr)
     sys.stderr.flush()
 
 
@@ -117,6 +119,7 @@ def usage_error(box: str, command: str = "") -> str:
         line = f"{option}: need {kind}, got {given}" if kind else f"{option}: cannot be {given}"
     if choice := CHOICE_PATTERN.search(said):
         line += did_you_mean(choice[1].lower(), re.findall(r"'(.*?)'", choice[2]))
+    # tyro tells of several unknown options in any order.
     for text in sorted(more, key=lambda text: said.find((OPTION_PATTERN.findall(text) or [""])[0])):
         options = OPTION_PATTERN.findall(text)
         if text.startswith("Perhaps you meant"):

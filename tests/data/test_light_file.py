@@ -252,6 +252,11 @@ def test_missing_and_empty_files(tmp_path: Path) -> None:
         read_lights(tmp_path / "empty.yaml", UP)
 
 
+def test_a_file_of_what_lit_the_photos_is_told_its_option() -> None:
+    refuses({"windows": []}, "--photo-sources")
+    refuses(one("ambient", windows=[]), "unknown key 'windows'")
+
+
 def test_messages_stay_on_one_line_whatever_the_value() -> None:
     refuses(one("point", luminous_flux="a\nb"), "'luminous_flux'")
     refuses({"lights": [{"kind": "po\nint"}]}, "kind")

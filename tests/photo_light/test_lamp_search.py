@@ -1,6 +1,6 @@
 """Lit lamps in pictures: in rows overhead, at the border, and where they burn out what is around them."""
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +12,13 @@ from hyjax.data.capture import Frame
 from hyjax.data.recording import without_margin
 from hyjax.geometry.camera import Camera, Intrinsics, look_at
 from hyjax.geometry.raycast import RayCaster
+from hyjax.light.emission import LAMP_REACH
 from hyjax.photo_light.ceiling_lamps import Blob, ceiling_lamps
 from hyjax.photo_light.glowing_places import glowing_places
-from hyjax.photo_light.lamp_search import blobs_of, is_flat
+from hyjax.photo_light.lamp_search import LARGEST_REACH, blobs_of, is_flat
 from hyjax.photo_light.sightings import sight
 from hyjax.photo_light.source_search import find_photo_sources, search_sources
-from hyjax.photo_light.sources import LAMP_RADIUS
+from hyjax.photo_light.sources import LAMP_RADIUS, PhotoLamp, PhotoWindow
 from hyjax.scene.scene import Scene
 from hyjax.util.vectors import unit
 
@@ -55,21 +56,46 @@ def paint_panel(frame: Frame, low: tuple[float, float], high: tuple[float, float
     frame.image[((place > low) & (place < high)).all(axis=-1)] = 1.0
 
 
-def test_a_lamp_of_the_ceiling_is_as_large_as_its_panel(box: RayCaster) -> None:
+TURN = trimesh.transformations.euler_matrix(0.4, -1.1, 2.0)
+"""Into axes in which no wall is level."""
+
+
+def search_turned(
+    caster: RayCaster, frames: list[Frame], turn: np.ndarray
+) -> tuple[tuple[PhotoWindow, ...], tuple[PhotoLamp, ...]]:
+    """Sources of the same pictures and scan in other axes; positions are turned back."""
+    moved = [replace(f, camera=Camera(f.camera.intrinsics, turn @ f.camera.pose)) for f in frames]
+    windows, lamps = search_sources(RayCaster(caster.mesh.copy().apply_transform(turn)), moved, turn[:3, :3] @ UP)
+    back = turn[:3, :3].T
+    return windows, tuple(replace(lamp, position=back @ lamp.position) for lamp in lamps)
+
+
+@pytest.mark.parametrize("turn", [np.eye(4), TURN])
+def test_a_lamp_of_the_ceiling_is_as_large_as_its_panel(turn: np.ndarray, box: RayCaster) -> None:
+    """A globe below keeps its size."""
     frames = [picture(eye, np.array([0.2, 2.5, 1.9])) for eye in EYES]
     for frame in frames:
         paint_panel(frame, (-0.3, 1.2), (0.3, 1.5), 2.5)
-        paint(frame, LAMP - np.array([0.0, 0.0, 0.9]), 0.08)  # a globe keeps its size
-    panel, globe = sorted(search_sources(box, frames, UP)[1], key=lambda lamp: -float(lamp.position[2]))
+        paint(frame, LAMP + np.array([0.0, 0.0, 0.2]), 0.08)
+    panel, globe = sorted(search_turned(box, frames, turn)[1], key=lambda lamp: -lamp.radius)
     np.testing.assert_allclose(panel.position, [0.0, 1.35, 2.5], atol=0.12)
-    assert 1.5 * panel.radius == pytest.approx(np.hypot(0.3, 0.15), rel=0.25)
+    assert LAMP_REACH * panel.radius == pytest.approx(np.hypot(0.3, 0.15), rel=0.25)
     assert globe.radius == pytest.approx(0.08, rel=0.15)
 
 
-def test_what_shines_through_the_ceiling_is_a_lamp_and_through_a_wall_a_window(box: RayCaster) -> None:
+def test_a_globe_close_under_the_ceiling_keeps_its_size(box: RayCaster) -> None:
+    frames = [picture(eye, np.array([0.2, 2.5, 1.9])) for eye in EYES]
+    for frame in frames:
+        paint(frame, LAMP + np.array([0.0, 0.0, 0.45]), 0.12)
+    (globe,) = search_sources(box, frames, UP)[1]
+    assert globe.radius == pytest.approx(0.12, rel=0.15)
+
+
+@pytest.mark.parametrize("side", [0.5, 0.9])
+def test_a_small_hole_of_the_ceiling_is_a_lamp_and_others_are_windows(side: float, box: RayCaster) -> None:
     mesh, frames = box.mesh.subdivide_to_size(0.2), [picture(eye, np.array([0.2, 2.5, 1.9])) for eye in EYES]
     center = mesh.triangles_center
-    above = (np.abs(center[:, :2] - (0.0, 1.4)) < 0.5).all(axis=1) & (center[:, 2] > 2.4)
+    above = (np.abs(center[:, :2] - (0.0, 1.4)) < side).all(axis=1) & (center[:, 2] > 2.4)
     ahead = (np.abs(center[:, ::2] - (0.2, 1.2)) < 0.5).all(axis=1) & (center[:, 1] > 2.9)
     low, high = mesh.triangles[above].reshape(-1, 3).min(axis=0), mesh.triangles[above].reshape(-1, 3).max(axis=0)
     mesh.update_faces(~(above | ahead))
@@ -77,10 +103,22 @@ def test_what_shines_through_the_ceiling_is_a_lamp_and_through_a_wall_a_window(b
     for frame in frames:
         sighting = holed.cast(frame.camera.origin, frame.camera.rays().reshape(-1, 3))
         frame.image[~sighting.hit.reshape(240, 320)] = 1.0
-    (window,), (lamp,) = search_sources(holed, frames, UP)
+    (window, *skylights), lamps = search_sources(holed, frames, UP)
     assert window.normal @ (0.0, -1.0, 0.0) > 0.9
-    np.testing.assert_allclose(lamp.position, (low + high) / 2, atol=0.2)  # seen slant
-    assert 1.5 * lamp.radius == pytest.approx(np.linalg.norm(high - low) / 2, rel=0.25)
+    assert len(lamps) == (side < LARGEST_REACH / np.sqrt(2)) and len(skylights) == 1 - len(lamps)
+    for lamp in lamps:
+        np.testing.assert_allclose(lamp.position, (low + high) / 2, atol=0.2)  # seen slant
+        assert LAMP_REACH * lamp.radius == pytest.approx(np.linalg.norm(high - low) / 2, rel=0.25)
+
+
+def test_a_glow_on_the_ceiling_stays_of_unknown_form(box: RayCaster) -> None:
+    """Lamp, wall and ceiling burn out as one blob."""
+    place = np.array([0.8, 2.6, 2.35])
+    frames = [picture(eye, np.array([0.2, 2.5, 1.4])) for eye in EYES]
+    for frame in frames:
+        paint(frame, place, 0.5)
+    lamps = search_sources(box, frames, UP)[1]
+    assert lamps and all(lamp.radius == 0 for lamp in lamps)
 
 
 def test_rows_of_ceiling_lamps_are_found_where_two_frames_agree() -> None:
@@ -105,7 +143,7 @@ def test_a_lamp_at_the_border_is_a_blob_and_a_white_border_is_none(box: RayCaste
     (blob,) = blobs_of(0, sight(box, frame))
     assert blob.direction @ unit(frame.camera.rays()[105, 4]) > 0.999
     frame.image[:4] = frame.image[-4:] = frame.image[:, :4] = frame.image[:, -4:] = 1.0
-    for bordered in (frame, dataclasses.replace(frame, image=without_margin(frame.image))):
+    for bordered in (frame, replace(frame, image=without_margin(frame.image))):
         found = sight(box, bordered)
         assert len(blobs_of(0, found)) == 1
         assert not found.known[:4].any() and found.known[5:-5, 5:-5].all()

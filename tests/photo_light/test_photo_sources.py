@@ -12,7 +12,7 @@ from hyjax.geometry.raycast import RayCaster
 from hyjax.photo_light import source_search
 from hyjax.photo_light.hints import hinted_sources, is_lit, shows_light
 from hyjax.photo_light.source_search import find_photo_sources, search_sources
-from hyjax.photo_light.sources import LAMP_RADIUS, PhotoSources, PhotoWindow, read_sources
+from hyjax.photo_light.sources import LAMP_RADIUS, PhotoSources, PhotoWindow, read_sources, source_entries
 from hyjax.scene.scene import Scene
 from hyjax.util.errors import InputError
 
@@ -180,14 +180,17 @@ def test_a_file_is_taken_as_it_is(scene: Scene, tmp_path: Path) -> None:
         ("- 1", "must be a mapping"),
         ("{}", "names no window"),
         ("window: []", "did you mean 'windows'"),
-        ("lights: []", "a file of new lights, which --lights takes"),
+        ("lights: []", "names new lights; give it by --lights"),
         ("windows: 3", "'windows' must be a list"),
         (f"windows: [{WINDOW.replace('width', 'widht')}]", "did you mean 'width'"),
         (f"windows: [{WINDOW.replace(', height: 1.4', '')}]", "'height' is missing"),
         (f"windows: [{WINDOW.replace('2.4', '-2.4')}]", "'width' must be a number of metres > 0"),
         (f"windows: [{WINDOW.replace('2.4', '.nan')}]", "'width'"),
         (f"windows: [{WINDOW.replace('2.95', '.inf')}]", "'center' must be three finite numbers"),
-        (f"windows: [{WINDOW.replace('[1, 0, 0]', '[0, 0, 0]')}]", "zero"),
+        (
+            f"windows: [{WINDOW.replace('[1, 0, 0]', '[0, 0, 0]')}]",
+            "window 0: 'normal' must not be the zero vector",
+        ),
         (f"windows: [{WINDOW.replace('[1, 0, 0]', '[-1, 0, 0]')}]", "looks away from the cameras"),
         (f"windows: [{WINDOW.replace('[0.0, 2.95', '[-9.0, 2.95')}]", "off the scan's walls"),
         (f"windows: [{WINDOW}, {{name: window-1, {WINDOW[1:]}]", "given twice"),
@@ -203,6 +206,13 @@ def test_bad_files_are_refused_in_one_line(text: str, said: str, scene: Scene, t
     assert said in str(caught.value) and "\n" not in str(caught.value)
     with pytest.raises(InputError, match="no such file"):
         find(scene, file=tmp_path / "none.yaml")
+
+
+def test_a_normal_is_checked_before_a_scan_is_loaded(tmp_path: Path) -> None:
+    file = tmp_path / "sources.yaml"
+    file.write_text(f"windows: [{WINDOW.replace('[1, 0, 0]', '[0, 0, 0]')}]")
+    with pytest.raises(InputError, match="zero vector"):
+        source_entries(file)
 
 
 def test_a_lamp_may_hang_where_the_cameras_stood(tmp_path: Path) -> None:

@@ -163,9 +163,7 @@ def test_what_is_kept_of_uneven_light_follows_its_exponent() -> None:
 
 def test_a_lamp_of_unknown_form_lights_and_is_not_drawn() -> None:
     scene, places = Scene(Room(), walls()), (np.array([0.5, 0.2, 0.8]), np.array([-0.5, 0.3, 0.7]))
-    lamps = tuple(
-        PhotoLamp(f"lamp-{n}", p, r, np.zeros(0, int)) for n, (p, r) in enumerate(zip(places, (0.0, 0.1)))
-    )
+    lamps = tuple(PhotoLamp(f"lamp-{n}", p, r) for n, (p, r) in enumerate(zip(places, (0.0, 0.1))))
     photo_light = scene.photo_light
     photo_light._sources = PhotoSources((), lamps, "file")
     assert photo_light.estimate.names[:2] == ("lamp-0", "lamp-1")
@@ -178,8 +176,8 @@ def test_a_lamp_of_unknown_form_lights_and_is_not_drawn() -> None:
 def test_sources_come_back_from_their_arrays() -> None:
     window = PhotoWindow.facing("balcony", np.array([0.0, 2.0, 0.1]), np.array([0.0, -1.0, 0.0]), UP, 1.0, 1.3)
     lamps = (
-        PhotoLamp("pendant", np.array([0.0, 0.1, 1.0]), 0.07, np.zeros(0, int)),
-        PhotoLamp("shade", np.array([1.0, 0.1, 1.0]), 0.05, np.array([3, 5])),
+        PhotoLamp("pendant", np.array([0.0, 0.1, 1.0]), 0.07),
+        PhotoLamp("shade", np.array([1.0, 0.1, 1.0]), 0.05),
     )
     back = sources_from_arrays(sources_to_arrays(PhotoSources((window,), lamps, "found")))
     assert back.origin == "found" and repr(back) == repr(PhotoSources((window,), lamps, "found"))

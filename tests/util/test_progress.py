@@ -1,8 +1,12 @@
 """Progress bars: of a step by itself, and one for all steps of a command."""
 
+import functools
+
 import pytest
 
+from hyjax.util import progress
 from hyjax.util.progress import StepBar, command_bar
+from hyjax.util.terminal import FILE_SECONDS, write_above_bars
 
 
 def shown(capsys: pytest.CaptureFixture[str]) -> str:
@@ -40,6 +44,15 @@ def test_a_failing_command_leaves_no_line(capsys: pytest.CaptureFixture[str]) ->
     with pytest.raises(ValueError, match="unreadable"), command_bar("relighting", "frame", disable=False):
         StepBar[None](desc="light", total=2, unit="block").update()
         raise ValueError("unreadable")
-    assert "\n" not in shown(capsys)
+    assert shown(capsys).endswith("\r"), "it is wiped"
     with command_bar("relighting", "frame", disable=False) as bar:
         assert bar is not None, "the one before has ended"
+
+
+def test_in_a_file_a_command_that_is_refused_at_once_leaves_its_line_alone(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "tqdm", functools.partial(progress.tqdm, mininterval=FILE_SECONDS))
+    with command_bar("relighting", "frame", disable=False):
+        write_above_bars("hyjax: no such file")
+    assert shown(capsys) == "hyjax: no such file\n"
