@@ -107,7 +107,9 @@ def parse_lights(
             a negative luminous flux.
     """
     if isinstance(content, dict) and not {"windows", "lamps"}.isdisjoint(content):
-        raise InputError(f"{where}: names what lit the photos; give it by --photo-sources")
+        raise InputError(
+            f"{where}: has windows or lamps that lit the photos, which --photo-sources takes from a file of their own"
+        )
     values = _checked(where, content, FILE_KEYS)
     existing = _existing(where, values["existing"])
     if not values["lights"]:

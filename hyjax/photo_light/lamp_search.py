@@ -116,7 +116,9 @@ def _as_wide_as_seen(sightings: Sequence[Sighting], lamp: PhotoLamp, up: Vector)
         along = (lamp.position - origin) @ up / (toward @ up)
         slope = np.min(toward @ up / np.linalg.norm(toward, axis=-1))
         if slope > LEAST_SLOPE and np.ptp(rows) + 1 < LARGEST_HEIGHT_OF_FLAT * (np.ptp(columns) + 1):
-            reaches.append(np.linalg.norm(origin + along[:, None] * toward - lamp.position, axis=-1).max())
+            reach = np.linalg.norm(origin + along[:, None] * toward - lamp.position, axis=-1).max()
+            blurred = depth * np.linalg.norm(s.rays[0, 1] - s.rays[0, 0]) / slope  # a pixel's length in the plane
+            reaches.append(reach - blurred)
     reach = min(float(np.median(reaches)), LARGEST_REACH) if reaches else 0.0
     return dataclasses.replace(lamp, radius=max(lamp.radius, reach / LAMP_REACH))
 

@@ -159,7 +159,7 @@ def source_entries(path: Path) -> tuple[list[_Window], list[_Lamp]]:
     """
     content = read_yaml(path)
     if isinstance(content, dict) and "lights" in content:
-        raise InputError(f"{path}: names new lights; give it by --lights")
+        raise InputError(f"{path}: has new lights, which --lights takes from a file of their own")
     lists = converted(str(path), content, _SourcesFile, FORMS)
     windows = [converted(f"{path}: window {i}", entry, _Window, FORMS) for i, entry in enumerate(lists.windows)]
     lamps = [converted(f"{path}: lamp {i}", entry, _Lamp, FORMS) for i, entry in enumerate(lists.lamps)]

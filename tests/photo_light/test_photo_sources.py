@@ -180,7 +180,7 @@ def test_a_file_is_taken_as_it_is(scene: Scene, tmp_path: Path) -> None:
         ("- 1", "must be a mapping"),
         ("{}", "names no window"),
         ("window: []", "did you mean 'windows'"),
-        ("lights: []", "names new lights; give it by --lights"),
+        ("lights: []", "has new lights, which --lights takes"),
         ("windows: 3", "'windows' must be a list"),
         (f"windows: [{WINDOW.replace('width', 'widht')}]", "did you mean 'width'"),
         (f"windows: [{WINDOW.replace(', height: 1.4', '')}]", "'height' is missing"),
