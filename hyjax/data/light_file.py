@@ -108,7 +108,7 @@ def parse_lights(
     """
     if isinstance(content, dict) and not {"windows", "lamps"}.isdisjoint(content):
         raise InputError(
-            f"{where}: has windows or lamps that lit the photos, which --photo-sources takes from a file of their own"
+            f"{where}: has what lit the photos (windows, lamps), which --photo-sources takes from a file of its own"
         )
     values = _checked(where, content, FILE_KEYS)
     existing = _existing(where, values["existing"])
