@@ -15,9 +15,9 @@ from hyjax.photo_light.sightings import Box
 from hyjax.photo_light.sources import Vector
 from hyjax.util.vectors import orthonormal_frame
 
-LEAST_SLOPE = 0.12
+LEAST_SLOPE = 0.1
 """Least slope of a ray to a ceiling lamp; flatter ones meet the plane anywhere."""
-FARTHEST_LAMP = 6.0
+FARTHEST_LAMP = 8.0
 """Largest distance, in metres, of a ceiling lamp from the camera."""
 HEIGHT_STEP, HEIGHT_SLACK = 0.02, 0.3
 """Step of the tried heights, and their reach beyond the scan's, in metres."""

@@ -38,7 +38,7 @@ ENOUGH_SUNLIT_RATIO = 0.6
 """Number of pictures with sun, over that of the best sun, from which the more usual sun is kept."""
 MOST_SUNS = 3
 """Most windows that the sun shines through."""
-MOST_LAMPS = 10
+MOST_LAMPS = 12
 LAMP_LUMENS = 900.0
 NOON_SKY, EVENING_SKY, DUSK_SKY, NIGHT_SKY = 950.0, 300.0, 36.0, 2.1
 """Lumens of a square metre of window by noon, by a low sun, at dusk and at night."""

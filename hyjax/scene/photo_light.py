@@ -36,7 +36,7 @@ from hyjax.util.programs import run_kept
 
 FRAME_COUNT = 24
 """Number of frames, spread over the capture, for the estimate of the photo's light."""
-VERSION = 40
+VERSION = 41
 """Version of sources and estimate. Add one when either changes."""
 PANES = ("bar_spans", "bar_recess", "pane_means")
 """Names of the arrays of `pane_arrays`."""
