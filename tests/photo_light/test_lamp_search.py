@@ -137,6 +137,19 @@ def test_rows_of_ceiling_lamps_are_found_where_two_frames_agree() -> None:
     assert ceiling_lamps(origins, blobs[:3], UP, np.arange(2.0, 2.8, 0.02)) == []  # a single frame's
 
 
+def test_far_lamps_of_a_row_are_found_as_well() -> None:
+    """Each in two pictures, from six to eight metres away: cameras of a walk look along a corridor."""
+    origins = [np.array([0.0, y, 1.5]) for y in (0.0, 1.0)]
+    lamps = np.array([[0.0, y, 2.4] for y in (4.0, 7.5, 9.5)])
+    blobs = [
+        Blob(number, unit(lamp - origin), 0.06 / float(np.linalg.norm(lamp - origin)))
+        for number, origin in enumerate(origins)
+        for lamp in lamps
+    ]
+    found = sorted(place[1] for place, _ in ceiling_lamps(origins, blobs, UP, np.arange(2.0, 2.8, 0.02)))
+    np.testing.assert_allclose(found, [4.0, 7.5], atol=0.15)  # the last is too far from the first camera
+
+
 def test_a_lamp_at_the_border_is_a_blob_and_a_white_border_is_none(box: RayCaster) -> None:
     frame = picture(EYES[0], np.array([0.0, 2.0, 1.4]))
     frame.image[100:112, :10] = 1.0
