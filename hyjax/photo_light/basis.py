@@ -9,8 +9,7 @@ from jaxtyping import Float, Int
 from hyjax.geometry.raycast import RayCaster
 from hyjax.geometry.transport_rays import CELLS, OFFSET
 from hyjax.light.kinds import Aperture
-from hyjax.photo_light.ceiling_lamps import CEILING_DISTANCE, scan_top
-from hyjax.photo_light.sources import UNSCANNED, PhotoSources
+from hyjax.photo_light.sources import CEILING_DISTANCE, UNSCANNED, PhotoSources, scan_top
 from hyjax.util.vectors import unit
 
 BINS = (6, 4)

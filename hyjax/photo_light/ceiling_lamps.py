@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from hyjax.geometry.raycast import RayCaster
 from hyjax.photo_light.sightings import Box
-from hyjax.photo_light.sources import Vector
+from hyjax.photo_light.sources import Vector, scan_top
 from hyjax.util.vectors import orthonormal_frame
 
 LEAST_SLOPE = 0.1
@@ -21,8 +21,6 @@ FARTHEST_LAMP = 8.0
 """Largest distance, in metres, of a ceiling lamp from the camera."""
 HEIGHT_STEP, HEIGHT_SLACK = 0.02, 0.3
 """Step of the tried heights, and their reach beyond the scan's, in metres."""
-CEILING_DISTANCE = 0.25
-"""Distance, in metres, below a ceiling within which a lamp belongs to it."""
 SAME_PLACE = 0.15
 """Largest distance, in metres, between sightings of one lamp."""
 FEWEST_FRAMES = 2
@@ -44,11 +42,6 @@ class Blob:
     sighting: int
     direction: Vector
     radius: float
-
-
-def scan_top(caster: RayCaster, up: Vector) -> float:
-    """Height of the highest of a scan."""
-    return float(np.quantile(np.asarray(caster.arrays.vertices) @ up, 0.999))
 
 
 def ceilings_of(caster: RayCaster, box: Box) -> Float[np.ndarray, "n"]:

@@ -9,17 +9,10 @@ from scipy import ndimage
 
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.emission import LAMP_REACH
-from hyjax.photo_light.ceiling_lamps import (
-    BASELINE,
-    CEILING_DISTANCE,
-    LEAST_SLOPE,
-    Blob,
-    ceiling_lamps,
-    ceilings_of,
-)
+from hyjax.photo_light.ceiling_lamps import BASELINE, LEAST_SLOPE, Blob, ceiling_lamps, ceilings_of
 from hyjax.photo_light.glowing_places import glowing_places
 from hyjax.photo_light.sightings import Box, Sighting
-from hyjax.photo_light.sources import PhotoLamp, PhotoWindow, Vector
+from hyjax.photo_light.sources import CEILING_DISTANCE, PhotoLamp, PhotoWindow, Vector
 from hyjax.util.vectors import orthonormal_frame
 
 FEWEST_FRAMES = 3
@@ -113,12 +106,13 @@ def _as_wide_as_seen(sightings: Sequence[Sighting], lamp: PhotoLamp, up: Vector)
             continue
         rows, columns = np.nonzero(part)
         toward, origin = s.rays[rows, columns], s.frame.camera.origin
-        along = (lamp.position - origin) @ up / (toward @ up)
         slope = np.min(toward @ up / np.linalg.norm(toward, axis=-1))
-        if slope > LEAST_SLOPE and np.ptp(rows) + 1 < LARGEST_HEIGHT_OF_FLAT * (np.ptp(columns) + 1):
-            reach = np.linalg.norm(origin + along[:, None] * toward - lamp.position, axis=-1).max()
-            blurred = depth * np.linalg.norm(s.rays[0, 1] - s.rays[0, 0]) / slope  # a pixel's length in the plane
-            reaches.append(reach - blurred)
+        if slope <= LEAST_SLOPE or np.ptp(rows) + 1 >= LARGEST_HEIGHT_OF_FLAT * (np.ptp(columns) + 1):
+            continue
+        along = (lamp.position - origin) @ up / (toward @ up)
+        reach = np.linalg.norm(origin + along[:, None] * toward - lamp.position, axis=-1).max()
+        blurred = depth * np.linalg.norm(s.rays[0, 1] - s.rays[0, 0]) / slope  # a pixel's length in the plane
+        reaches.append(reach - blurred)
     reach = min(float(np.median(reaches)), LARGEST_REACH) if reaches else 0.0
     return dataclasses.replace(lamp, radius=max(lamp.radius, reach / LAMP_REACH))
 

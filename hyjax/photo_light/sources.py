@@ -36,6 +36,8 @@ SATURATED_VALUE = 0.97
 """Display value of all three channels from which a pixel counts as burnt out."""
 WALL_DISTANCE = 0.4
 """Largest distance, in metres, of a given window from the scan or its bounding box."""
+CEILING_DISTANCE = 0.25
+"""Distance, in metres, below a ceiling within which a lamp belongs to it."""
 UNSCANNED = ("walls", "floor", "ceiling")
 """Names of the light from the parts of the box around a scan."""
 LAMP_RADIUS = 0.05
@@ -240,6 +242,11 @@ def _surface_points(mesh: Any) -> Float[np.ndarray, "n 3"]:
     chosen = np.random.default_rng(0).choice(len(areas), 20000, p=areas / areas.sum())
     weights = np.random.default_rng(1).dirichlet(np.ones(3), len(chosen))
     return np.concatenate([mesh.vertices, np.einsum("nk,nkd->nd", weights, corners[chosen])])
+
+
+def scan_top(caster: RayCaster, up: Vector) -> float:
+    """Height of the highest of a scan."""
+    return float(np.quantile(np.asarray(caster.arrays.vertices) @ up, 0.999))
 
 
 def spoken(name: str) -> str:
