@@ -52,6 +52,7 @@ def make_basis(
 ) -> Basis:
     """Basis of all possible sources of a photo's light."""
     starts = position + OFFSET * normal
+    ceiling = scan_top(caster, up)
     columns: list[np.ndarray] = []
     neighbours: list[np.ndarray] = []
     source: list[np.ndarray] = []
@@ -68,8 +69,8 @@ def make_basis(
     for window in sources.windows:
         add(window.name, window_light(caster, starts, normal, window.aperture), _grid_pairs(BINS[1], BINS[0]))
     for lamp in sources.lamps:
-        of_ceiling = lamp.position @ up > scan_top(caster, up) - CEILING_DISTANCE
-        add(lamp.name, lamp_light(caster, starts, normal, lamp.position, up if of_ceiling else None), nothing)
+        downwards = up if lamp.position @ up > ceiling - CEILING_DISTANCE else None
+        add(lamp.name, lamp_light(caster, starts, normal, lamp.position, downwards), nothing)
     walls = _wall_light(hits, len(caster.mesh.faces))
     for name, first, count in zip(UNSCANNED, (0, 4, 5), (4, 1, 1), strict=True):
         part = slice(first * CELLS**2, (first + count) * CELLS**2)

@@ -10,7 +10,7 @@ from scipy import ndimage
 from hyjax.geometry.raycast import RayCaster
 from hyjax.light.emission import LAMP_REACH
 from hyjax.photo_light.ceiling_lamps import BASELINE, LEAST_SLOPE, Blob, ceiling_lamps, ceilings_of
-from hyjax.photo_light.glowing_places import glowing_places
+from hyjax.photo_light.glowing_places import HIDDEN_DEPTH, glowing_places
 from hyjax.photo_light.sightings import Box, Sighting
 from hyjax.photo_light.sources import CEILING_DISTANCE, PhotoLamp, PhotoWindow, Vector
 from hyjax.util.vectors import orthonormal_frame
@@ -99,10 +99,12 @@ def _as_wide_as_seen(sightings: Sequence[Sighting], lamp: PhotoLamp, up: Vector)
     """Flat lamp of the ceiling with the reach of its burnt-out blobs in its plane; a round one as it is."""
     reaches = []
     for s, row, column, depth in _views(sightings, lamp.position, np.inf):
+        if s.depth[row, column] < depth - HIDDEN_DEPTH:
+            continue
         labels, _ = ndimage.label(s.burnt)
         nearest = labels[row - 1 : row + 2, column - 1 : column + 2].max()
         part = labels == nearest
-        if nearest == 0 or part.sum() > LARGEST_SHARE * part.size or s.depth[row, column] < depth - 0.3:
+        if nearest == 0 or part.sum() > LARGEST_SHARE * part.size:
             continue
         rows, columns = np.nonzero(part)
         toward, origin = s.rays[rows, columns], s.frame.camera.origin
@@ -270,7 +272,7 @@ def _seen_lit(sightings: Sequence[Sighting], place: Vector, radius: float) -> fl
     """Share of the frames with a free view of a place in which it is burnt out."""
     votes = []
     for s, row, column, depth in _views(sightings, place, radius):
-        if s.depth[row, column] < depth - 0.3:
+        if s.depth[row, column] < depth - HIDDEN_DEPTH:
             continue
         votes.append(bool(s.burnt[row - 1 : row + 2, column - 1 : column + 2].any()))
     return float(np.mean(votes)) if votes else 0.0

@@ -245,7 +245,7 @@ def _surface_points(mesh: Any) -> Float[np.ndarray, "n 3"]:
 
 
 def scan_top(caster: RayCaster, up: Vector) -> float:
-    """Height of the highest of a scan."""
+    """Height of the top of a scan, less the highest thousandth of its vertices."""
     return float(np.quantile(np.asarray(caster.arrays.vertices) @ up, 0.999))
 
 
